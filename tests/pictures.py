@@ -1,7 +1,8 @@
-"""The pictures of README and docs/certificate.md: `python -m tests.pictures`; a minute and a half.
+"""The pictures of README and docs/reference/certificate.md: `python -m tests.pictures`; a minute and a half.
 
 A run of the demo rig by `calrig serve` and *Diagnose* on its page in Chromium; then the first page of the
-unit's certificate, drawn by pypdfium2 (the extra `bench`). The picture of docs/solve.md has its own command.
+unit's certificate, drawn by pypdfium2 (the extra `bench`). The picture of
+docs/explanation/error-separation.md has its own command.
 """
 
 from __future__ import annotations

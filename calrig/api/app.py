@@ -40,13 +40,6 @@ from calrig.api import (
     units,
     users,
 )
-from calrig.api import compare as changes
-from calrig.api import diagnoses as effects
-from calrig.api import noise as log_studies
-from calrig.api import runs as amendments
-from calrig.api import runs as clamp
-from calrig.api import units as archive
-from calrig.api import units as items
 from calrig.api.access import TOKEN, Access
 from calrig.api.authentication import Authentication, TrustedProxies
 from calrig.api.benches import BenchPage
@@ -61,25 +54,16 @@ from calrig.settings import CentreSettings, packed
 PARTS = (
     runs,
     batches,
-    amendments,
     plans,
-    clamp,
     diagnoses,
     solve,
-    effects,
     events,
     measurements,
     noise,
-    log_studies,
     figures,
     calibrations,
-    items,
-    changes,
-    archive,
-    units,
     compare,
-    rigs,
-    rigs,
+    units,
     rigs,
     imports,
     jobs,

@@ -34,44 +34,6 @@ EVERY_RUN = 2**31
 router = APIRouter(tags=["units"])
 
 
-@router.get("/api/units", response_model=list[UnitAnswer], summary="Every unit, by serial number")
-def list_units(context: Context) -> object:
-    """How often each was on a rig, when last, and when it is due again."""
-    due = context.due_dates()
-    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units()]
-
-
-@router.get(
-    "/api/units/{serial:path}", response_model=UnitWithRuns, responses=problems(404), summary="One unit"
-)
-def show_unit(unit: KnownUnit, context: Context) -> object:
-    """With all its runs, newest first."""
-    runs, _ = context.store.runs(unit=unit.serial, limit=EVERY_RUN)
-    in_force = context.store.in_force(unit.serial)
-    return {
-        **asdict(unit),
-        **context.due_dates(serials=[unit.serial]).of(unit.serial).to_dict(),
-        "runs": with_doubts(context.store, runs),
-        "active_run_id": in_force and in_force.run_id,
-        "revision_in_force": in_force and in_force.revision,
-    }
-
-
-@router.delete(
-    "/api/units/{serial:path}",
-    dependencies=[requires("releaser")],
-    status_code=204,
-    responses=problems(404, 409),
-    summary="Remove a unit that nothing is known of",
-)
-def remove_unit(serial: str, context: Context, who: Who) -> None:
-    """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
-    context.store.remove_unit(serial, who=who)
-
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 TURNS = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Characters that turn the direction of what follows them."""
 Words = Annotated[str, Field(min_length=1, max_length=500)]
@@ -178,3 +140,42 @@ def show_archive(unit: KnownUnit, context: Context) -> Response:
     pieces = archive_of(context.store, unit.serial, context.laboratory)
     first = next(pieces)  # what is wrong with the store is told in place of it
     return StreamingResponse(chain([first], pieces), media_type=ZIP, headers=headers)
+
+
+# Last: their paths would take those above for parts of a serial number.
+@router.get("/api/units", response_model=list[UnitAnswer], summary="Every unit, by serial number")
+def list_units(context: Context) -> object:
+    """How often each was on a rig, when last, and when it is due again."""
+    due = context.due_dates()
+    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units()]
+
+
+@router.get(
+    "/api/units/{serial:path}", response_model=UnitWithRuns, responses=problems(404), summary="One unit"
+)
+def show_unit(unit: KnownUnit, context: Context) -> object:
+    """With all its runs, newest first."""
+    runs, _ = context.store.runs(unit=unit.serial, limit=EVERY_RUN)
+    in_force = context.store.in_force(unit.serial)
+    return {
+        **asdict(unit),
+        **context.due_dates(serials=[unit.serial]).of(unit.serial).to_dict(),
+        "runs": with_doubts(context.store, runs),
+        "active_run_id": in_force and in_force.run_id,
+        "revision_in_force": in_force and in_force.revision,
+    }
+
+
+@router.delete(
+    "/api/units/{serial:path}",
+    dependencies=[requires("releaser")],
+    status_code=204,
+    responses=problems(404, 409),
+    summary="Remove a unit that nothing is known of",
+)
+def remove_unit(serial: str, context: Context, who: Who) -> None:
+    """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
+    context.store.remove_unit(serial, who=who)
+
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.

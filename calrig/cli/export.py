@@ -66,7 +66,7 @@ def export(
         typer.Option(
             "--format",
             help="The calibration, its poses (csv), its certificate (pdf, dcc), all of a unit (archive); "
-            "for other programs: calrig/docs/calibrations.md.",
+            "for other programs: calrig/docs/reference/export-formats.md.",
         ),
     ] = Format.json,
     parquet: Annotated[

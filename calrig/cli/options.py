@@ -90,7 +90,7 @@ runs = _names(
 )
 
 
-COLUMNS = "Columns: calrig/docs/poses.md."
+COLUMNS = "Columns: calrig/docs/reference/file-formats.md."
 SHORTENED = " (the first 6 characters of a UUID do)"
 Db = Annotated[str | None, typer.Option(metavar="FILE", help="Store: a path or a URL [CALRIG_DB].")]
 Server = Annotated[

@@ -139,9 +139,9 @@ def print_result(run: dict[str, Any]) -> None:
         where = "imported" if run["plan"] is None else f"on {run['rig']}"
         title = f"run {run['id']}: unit {run['unit']}, {where}"
         print_table(headings, _rows_of(run["result"]), title=title)
+        print_warnings(run["provenance"].get("warnings", ()))
     if run["verdict"] is not None:
         _print_sentences(run["verdict"]["says"])
-    print_warnings(run["provenance"].get("warnings", ()))
     mounts_deg = (run["plan"] or {}).get("mounts_deg", [0.0])
     if len(mounts_deg) > 1 and run["status"] == "completed":
         of = f"All of this is of the first mount ({mounts_deg[0]:g}°): " if run["result"] is not None else ""

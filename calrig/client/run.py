@@ -254,7 +254,7 @@ class Run:
         return FiltersStudy.of(outcome(self._link, self._link.get(f"{self._path}/filters?wait=false"), told))
 
     def poses(self) -> list[dict[str, Any]]:
-        """Its poses, in the columns of docs/poses.md."""
+        """Its poses, in the columns of docs/reference/file-formats.md."""
         poses: list[dict[str, Any]] = self._link.get(f"{self._path}/poses")
         return poses
 

@@ -345,7 +345,7 @@ def there_are(names: Sequence[str]) -> str:
     """The columns that a file has, in so many words as a message bears."""
     shown = ", ".join(name for name in names[:MOST_NAMED] if name) or "none with a name"
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return f"there are: {shown}{more} (calrig/docs/poses.md tells what columns a file may have)"
+    return f"there are: {shown}{more} (calrig/docs/reference/file-formats.md lists the columns)"
 
 
 def _check_row(row: list[str], width: int, line: int) -> None:

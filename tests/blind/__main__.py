@@ -45,7 +45,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--no-cross-fit", action="store_true", help="quicker; without held-out errors")
     parser.add_argument("--no-peers", action="store_true")
-    parser.add_argument("--markdown", action="store_true", help="the table alone, for docs/performance.md")
+    parser.add_argument("--markdown", action="store_true", help="the table of docs/validation/diagnosis.md")
     parser.add_argument("--json", type=Path, metavar="FILE", help="every judgement, one a line")
     return parser.parse_args()
 

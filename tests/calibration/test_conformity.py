@@ -113,7 +113,7 @@ def test_a_worse_stage_costs_more_of_both_and_at_a_ratio_of_one_a_full_guard_pas
     ("tur", "rss", "dobbert"), [(4.0, 0.968, 0.987), (2.5, 0.917, 0.914), (1.5, 0.745, 0.760)]
 )
 def test_narrower_guards_are_those_of_the_literature(tur, rss, dobbert):
-    """Band factors, acceptance limit over L, as guards w = guard·U (docs/limits.md has the table)."""
+    """Band factors, acceptance limit over L, as guards w = guard·U (table: docs/reference/conformity.md)."""
     for factor, guard in (
         (rss, tur - math.sqrt(tur**2 - 1.0)),
         (dobbert, 1.04 - math.exp(0.38 * math.log(tur) - 0.54)),

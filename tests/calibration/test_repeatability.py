@@ -125,6 +125,11 @@ def test_no_run_at_all_changes_nothing():
     assert (found.pooled, len(found.p_value)) == ((None,), 0)
 
 
+@pytest.mark.filterwarnings("error")
+def test_runs_that_agree_to_the_last_digit_stand_out_of_nothing():
+    assert not outlying(np.zeros(5), np.zeros(5)).any()
+
+
 def test_those_that_stand_out_are_found_however_many_hide_one_another():
     """A third of the differences is huge: held against the spread of all, none of them would stand out."""
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""The table of docs/histories.md: `python -m tests.charts [--seeds 20000]`."""
+"""The table of docs/validation/control-charts.md: `python -m tests.charts [--seeds 20000]`."""
 
 from __future__ import annotations
 

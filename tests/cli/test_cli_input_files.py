@@ -48,11 +48,11 @@ def test_a_file_of_two_gigabytes_is_not_read(folder, little_memory, command):
 @pytest.mark.parametrize("command", ["import", "diagnose", "gravity", "noise", "filters"])
 def test_help_of_what_takes_a_file_says_where_its_columns_are_told(command):
     said = " ".join(calrig(command, "--help").stdout.replace("│", " ").split())
-    assert "calrig/docs/poses.md" in said
+    assert "calrig/docs/reference/file-formats.md" in said.replace("- ", "-")
 
 
 def test_every_column_that_poses_and_logs_may_have_is_told():
-    told = files("calrig").joinpath("docs/poses.md").read_text(encoding="utf-8")
+    told = files("calrig").joinpath("docs/reference/file-formats.md").read_text(encoding="utf-8")
     logged = [
         f"{sensor}_{axis}_{unit}" for sensor, unit in (("accel", "g"), ("gyro", "dps")) for axis in "xyz"
     ]

@@ -173,7 +173,7 @@ def test_what_was_done_before_ctrl_c_came_is_said_to_be_kept(there, folder, monk
 
 def test_the_example_notebook_runs_and_a_diagnosis_is_kept_with_its_run(there, monkeypatch, capsys):
     monkeypatch.setenv("CALRIG_SERVER", str(there.base_url))
-    notebook = json.loads((DOCS / "example.ipynb").read_text())
+    notebook = json.loads((DOCS / "tutorial" / "example.ipynb").read_text())
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
     space: dict = {}

@@ -179,7 +179,7 @@ def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
             b"tilt_deg,reading_deg\n1,2\n",
             1,
             "target_deg",
-            "there are: tilt_deg, reading_deg (calrig/docs/poses.md",
+            "there are: tilt_deg, reading_deg (calrig/docs/reference/file-formats.md",
         ),
         (b"target_deg;tilt;lux\n1;2;3\n", 1, "reading_deg", "there are: target_deg, tilt, lux"),
         (b"target_deg;reading_deg\n1,5;2.5\n", 2, "target_deg", "decimals are written with a point"),

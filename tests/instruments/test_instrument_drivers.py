@@ -55,7 +55,7 @@ def test_a_driver_that_cannot_be_loaded_is_said(monkeypatch):
 
 @pytest.fixture
 def page():
-    return files("calrig").joinpath("docs/drivers.md").read_text(encoding="utf-8")
+    return files("calrig").joinpath("docs/how-to/write-a-driver.md").read_text(encoding="utf-8")
 
 
 def blocks(page, kind):

@@ -1,4 +1,4 @@
-"""Writes calrig/docs/paper.md and its picture: `python -m tests.paper`; a minute."""
+"""Writes calrig/docs/validation/paper.md and its picture: `python -m tests.paper`; a minute."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def main() -> None:
         stages=STAGES,
         stage=stage.table(fine, stage.runs(STAGES, resolution_deg=stage.RESOLUTION_DEG)),
     )
-    (DOCS / "paper.md").write_text(page, encoding="utf-8")
+    (DOCS / "validation" / "paper.md").write_text(page, encoding="utf-8")
     _draw(at_rest, studies[static.RATE_HZ], stage.typical(fine))
 
 

@@ -1,4 +1,4 @@
-"""What calrig/docs/paper.md rests on, in short."""
+"""What calrig/docs/validation/paper.md rests on, in short."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of `calrig/docs/plans.md`: `python -m tests.plans [TABLE] [--runs N]`.
+"""The tables of `calrig/docs/validation/plans.md`: `python -m tests.plans [TABLE] [--runs N]`.
 
 `suspects` diagnoses 20 runs of each cell, a second of processor time each; `rigs` and `found` carry plans out
 on simulated rigs over their ports, three minutes and a quarter of an hour; `times` and `coverage` take half a

@@ -1,4 +1,4 @@
-"""The table of sweeps in docs/plans.md: `python -m tests.sweeps --runs 40`; some 6 s of a core a run."""
+"""The table of docs/validation/sweeps.md: `python -m tests.sweeps --runs 40`; some 6 s of a core a run."""
 
 from __future__ import annotations
 

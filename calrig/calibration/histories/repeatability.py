@@ -303,7 +303,7 @@ def outlying(difference: FloatArray, variance: FloatArray) -> BoolArray:
 def _shared_spread(squares: FloatArray, variance: FloatArray) -> float:
     """The s² >= 0 with Σ squares/(variance + s²) = n, by Newton's method from below."""
     n, s2 = len(squares), 0.0
-    floor = 1e-12 * float(squares.max(initial=1e-300))
+    floor = max(1e-12 * float(squares.max(initial=0.0)), 1e-100)  # runs that agree to the last digit
     for _ in range(50):
         weight = 1.0 / (variance + s2 + floor)
         excess = float(squares @ weight) - n

@@ -183,7 +183,7 @@ def software(version: str) -> tuple[str, ...]:
         f"calrig {version} is tested as a whole before each change of it: against independent programs "
         "(noise, filters, uncertainty), simulated rigs of known truth, and public logs of real devices.",
         "How often effects are found and rightly named, on poses held out, is in the tables of its documents "
-        "calrig/docs/performance.md, calrig/docs/measured.md and calrig/docs/diagnosis.md, each with the "
+        "calrig/docs/validation/performance.md, measured-logs.md and diagnosis.md beside it, each with the "
         "command that makes it again.",
     )
 

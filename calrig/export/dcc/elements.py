@@ -211,7 +211,11 @@ def administrative_data(said: Certificate, country: str | None) -> ET.Element:
         dcc(
             "refTypeDefinitions",
             _ref_types("Reference types of general use", BASIC, _BASIC_LINK),
-            _ref_types("calrig's own: what PTB's vocabulary has no word for", OWN, "calrig/docs/archive.md"),
+            _ref_types(
+                "calrig's own: what PTB's vocabulary has no word for",
+                OWN,
+                "calrig/docs/reference/certificate.md",
+            ),
         ),
         _core_data(said, country),
         _items(said),
