@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel
 
 SHOWN = 3
 """Of several things that are wrong: somebody who mends the first few finds the others."""
 LONGEST_PLACE = 200
 
-TITLES = {
-    # of a plan and of what starts a run
-    "start_deg": "From",
-    "stop_deg": "To",
-    "step_deg": "Step",
-    "elevations_deg": "Elevations",
-    "order": "Order",
-    "sweeps": "Sweeps",
-    "settle_s": "Settling time",
-    "dwell_s": "Dwell time",
-    "jitter_deg": "Jitter of each elevation",
-    "rate_hz": "Sample rate",
-    "target_std_deg": "Dwell until standard error",
-    "velocity_dps": "Stage velocity",
-    "wait_s": "Wait before each sweep",
-    "wait_temperature_c": "Wait for temperature",
-    "seed": "Seed",
+COMMON = {
     "plan": "Plan",
+    "name": "Name",
     "unit": "Unit's serial number",
+    "units": "Units",
     "rig": "Rig",
     "stage_at_deg": "Where the stage stands",
     "operator": "Operator",
@@ -37,24 +25,8 @@ TITLES = {
     "accel_range_g": "Accelerometer full scale",
     "gyro_range_dps": "Gyro full scale",
     "token": "Token",
-    # of how a unit came
-    "customer": "Customer",
-    "address": "Customer's address",
-    "received_at": "Date of receipt",
-    "condition": "Condition at receipt",
-    "description": "Description",
-    "interval_agreed_months": "Months until the next calibration",
-    # of a limit
-    "name": "Name",
-    "units": "Units",
-    "max_error_deg": "Largest error",
-    "bias_deg": "Bias",
-    "scale": "Scale",
-    "rms_deg": "RMS error",
-    "expanded_uncertainty_deg": "Stop at expanded uncertainty",
-    "rule": "Rule",
-    "guard": "Guard",
 }
+"""Titles of fields that mean one thing in every body and query; a model's own stand in its `TITLES`."""
 ENTRIES = {"elevations_deg": "Elevation", "effects": "Effect", "runs": "Run", "hosts": "Host"}
 """One of several, by the name of the list."""
 
@@ -89,10 +61,15 @@ _REASONS: dict[str, str] = {
 }
 
 
-def in_words(problems: Sequence[Mapping[str, Any]]) -> str:
-    """What is wrong: the first few fields at fault, each with its reason; problems as pydantic gives them."""
+def in_words(problems: Sequence[Mapping[str, Any]], kind: object = None) -> str:
+    """Say what is wrong: the first few fields at fault, each with its reason.
+
+    Args:
+        problems: as pydantic gives them.
+        kind: the model that was asked for, or a list of it; its `TITLES` name its fields.
+    """
     problems = _choices_together(problems)
-    said = [sentence(problem) for problem in problems[:SHOWN]]
+    said = [sentence(problem, kind) for problem in problems[:SHOWN]]
     more = len(problems) - len(said)
     return "; ".join([*said, f"and {more} more"] if more > 0 else said)
 
@@ -112,18 +89,21 @@ def _choices_together(problems: Sequence[Mapping[str, Any]]) -> list[Mapping[str
     return told
 
 
-def sentence(problem: Mapping[str, Any]) -> str:
-    """Such as `Elevation 2 is not a number`."""
+def sentence(problem: Mapping[str, Any], kind: object = None) -> str:
+    """Such as `Elevation 2 is not a number`; arguments as of `in_words`."""
     place = list(problem["loc"])
+    titles = _titles_along(kind, place)
     if problem["type"] == "extra_forbidden":
         inside = next((part for part in reversed(place[:-1]) if isinstance(part, str)), None)
-        return f"{_quoted(place[-1])} is not known" + (f" in {_title(inside).lower()}" if inside else " here")
+        return f"{_quoted(place[-1])} is not known" + (
+            f" in {_title(inside, titles).lower()}" if inside else " here"
+        )
     predicate = _predicate(problem)
     if predicate is not None:
-        return f"{_field(place)} {predicate}"
+        return f"{_field(place, titles)} {predicate}"
     said = reason(problem)
     named = any(isinstance(part, str) and part != "plan" for part in place)
-    return f"{_field(place)}: {said}" if named else said
+    return f"{_field(place, titles)}: {said}" if named else said
 
 
 def reason(problem: Mapping[str, Any]) -> str:
@@ -150,25 +130,46 @@ def path_of(problem: Mapping[str, Any]) -> str:
     return path if len(path) <= LONGEST_PLACE else path[:LONGEST_PLACE] + "…"
 
 
-def _field(place: Sequence[str | int]) -> str:
+def _titles_along(kind: object, place: Sequence[str | int]) -> dict[str, str]:
+    """Titles of the fields on the way to a place, by the models that they are of."""
+    titles = dict(COMMON)
+    for part in place:
+        models = list(_models_in(kind))
+        for model in models:
+            titles |= getattr(model, "TITLES", {})
+        if isinstance(part, str):
+            hints = [model.model_fields[part] for model in models if part in model.model_fields]
+            kind = hints[0].annotation if hints else None
+    return titles
+
+
+def _models_in(kind: object) -> Iterator[type[BaseModel]]:
+    """The models that an annotation is made of, such as those of a list or of a union."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        yield kind
+    for part in get_args(kind):
+        yield from _models_in(part)
+
+
+def _field(place: Sequence[str | int], titles: Mapping[str, str]) -> str:
     """The field's name on the page; of a list, which of its entries."""
     names = [k for k, part in enumerate(place) if isinstance(part, str)]
     if not names:
         return f"Limit {place[0] + 1}" if place and isinstance(place[0], int) else "The body"
     last = names[-1]
     name, of = str(place[last]), ""
-    if isinstance(place[0], int) and name in TITLES:
+    if isinstance(place[0], int) and name in titles:
         of = f" of limit {place[0] + 1}"
     inside = [part for part in place[last + 1 :] if isinstance(part, int)]
     if inside and name in ENTRIES:
         return f"{ENTRIES[name]} {inside[0] + 1}{of}"
     if inside:
-        return f"Entry {inside[0] + 1} of {_title(name).lower()}{of}"
-    return f"{_title(name)}{of}"
+        return f"Entry {inside[0] + 1} of {_title(name, titles).lower()}{of}"
+    return f"{_title(name, titles)}{of}"
 
 
-def _title(name: str) -> str:
-    return TITLES.get(name) or _quoted(name)
+def _title(name: str, titles: Mapping[str, str]) -> str:
+    return titles.get(name) or _quoted(name)
 
 
 def _quoted(name: object) -> str:

@@ -11,7 +11,7 @@ import os
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import platformdirs
 from pydantic import Field, IPvAnyNetwork, PrivateAttr, ValidationError, field_validator, model_validator
@@ -42,6 +42,17 @@ Range = tuple[float, float]
 
 class LimitSettings(Strict):
     """What units are held against, a `[[limit]]` or an entry of `/api/limits`; null asks nothing of that."""
+
+    TITLES: ClassVar = {
+        "max_error_deg": "Largest error",
+        "bias_deg": "Bias",
+        "scale": "Scale",
+        "rms_deg": "RMS error",
+        "expanded_uncertainty_deg": "Expanded uncertainty",
+        "rule": "Decision rule",
+        "guard": "Guard",
+    }
+    """What the page calls its fields."""
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
     units: Annotated[str, Field(min_length=1, max_length=200)] = "*"

@@ -8,8 +8,9 @@ from typing import Literal
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from calrig.invalid_fields import SHOWN, TITLES, in_words, path_of, sentence
-from calrig.plan import Plan
+from calrig.api.models import StartRun
+from calrig.invalid_fields import COMMON, SHOWN, in_words, path_of, sentence
+from calrig.plan import Plan, Until
 from calrig.settings import LimitSettings, packed
 
 
@@ -35,13 +36,16 @@ def problems(kind, given):
 )
 def test_a_plans_mistake_is_told_by_the_name_of_its_field(given, said, path):
     (problem,) = problems(Plan, given)
-    assert (sentence(problem), path_of(problem)) == (said, path)
+    assert (sentence(problem, Plan), path_of(problem)) == (said, path)
 
 
 def test_a_limits_mistake_says_which_limit():
     given = [{"name": "a", "rms_deg": 1.0}, {"name": "b", "rms_deg": "small"}]
     (problem,) = problems(list[LimitSettings], given)
-    assert (sentence(problem), path_of(problem)) == ("RMS error of limit 2 is not a number", "[1].rms_deg")
+    assert (sentence(problem, list[LimitSettings]), path_of(problem)) == (
+        "RMS error of limit 2 is not a number",
+        "[1].rms_deg",
+    )
 
 
 @pytest.mark.parametrize(
@@ -53,7 +57,16 @@ def test_a_limits_mistake_says_which_limit():
     ],
 )
 def test_what_is_wrong_is_told_without_the_words_of_a_program(kind, given, said):
-    assert in_words(problems(kind, given)) == said
+    assert in_words(problems(kind, given), kind) == said
+
+
+def test_one_name_in_two_models_has_two_titles():
+    wanted = {"expanded_uncertainty_deg": -1.0}
+    until, limits = StartRun, list[LimitSettings]
+    (of_until,) = problems(until, {"unit": "AS-1", "plan": {"until": wanted}})
+    (of_limit,) = problems(limits, [{"name": "a", **wanted}])
+    assert sentence(of_until, until) == "Stop at expanded uncertainty must be greater than 0"
+    assert sentence(of_limit, limits) == "Expanded uncertainty of limit 1 must be greater than 0"
 
 
 def test_of_many_mistakes_the_first_few_are_told_and_the_others_counted():
@@ -67,4 +80,5 @@ def test_the_names_are_those_of_the_page():
     form = (packed("web") / "plan.js").read_text()
     shown = dict(re.findall(r'field\("(\w+)", "([^",]+)', form))
     assert len(shown) >= 10
-    assert {name: TITLES[name] for name in shown} == shown
+    titles = {**COMMON, **Until.TITLES, **Plan.TITLES}
+    assert {name: titles[name] for name in shown} == shown

@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 from calrig.agent.link import Centre, Lease, Link, LinkDown
 from calrig.analysis.errors import Conflict, RunsError
+from calrig.model.run import Status
 from calrig.runs.assignment import ordered_run
 from calrig.runs.service import RunService
 from calrig.settings import RigSettings
-from calrig.store import Status, StoreError
+from calrig.store import StoreError
 from calrig.store.checksums import unsealed
 from calrig.store.errors import StoreDamagedError, Unreadable
 from calrig.store.records import Document

@@ -13,7 +13,7 @@ from calrig.analysis.results import refitted
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.export.poses_csv import CsvError
-from calrig.plan import CALIBRATING
+from calrig.model.plan import CALIBRATING
 from calrig.store import Run, Store
 from calrig.store.records import Document
 
@@ -79,7 +79,7 @@ class Records:
                 "mount_axis": imported.mount_axis,
                 "warnings": imported.warnings,
             },
-            result=imported.result,
+            result=None if imported.result is None else imported.result.to_dict(),
             draft=self._issuer.importing(imported, by=operator),
         )
 
@@ -138,7 +138,7 @@ class Records:
         """The result that a run has as one of another unit, with what is accepted for that."""
         if run.result is None:
             return None
-        return refitted(self._store, replace(run, unit=unit), counted_poses(self._store, run.id))
+        return refitted(self._store, replace(run, unit=unit), counted_poses(self._store, run.id)).to_dict()
 
     def exclude_pose(self, run_id: str, index: int, reason: str, *, who: str | None = None) -> Run:
         """Takes one pose out of an ended run's result, which is computed again; the pose stays."""
@@ -170,7 +170,7 @@ class Records:
         left = [p.pose for p in poses if (counts if p.index == index else p.excluded is None)]
         if not left:
             raise Conflict(f"pose {index} is the last one that run {run_id} rests on: void the run instead")
-        return refitted(self._store, run, left)
+        return refitted(self._store, run, left).to_dict()
 
     def _done(self, run: Run, who: str | None, why: str) -> Run:
         """The run; the next draft of its unit is made where it rests on what has been done."""

@@ -18,17 +18,16 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ApplyError
 from calrig.calibration.results import (
     AppliedEffect,
-    GyroFigures,
-    Result,
+    FittedResult,
     apply_calibration,
     as_clamped,
     corrected_residuals_deg,
     numbers_of,
 )
-from calrig.calibration.uncertainty import ReferenceFigures
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_document import line_of
-from calrig.plan import CALIBRATING
+from calrig.model.plan import CALIBRATING
+from calrig.model.result import Gyro, ReferenceFigures
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
 from calrig.store.records import Document, reference_of
@@ -50,10 +49,10 @@ def why_none(run: Run) -> str | None:
 def why_not_now(run: Run) -> str | None:
     """Why a calibration run gives none as it is; None where it does."""
     if run.voided is not None:
-        return f"is voided ({run.voided['reason']})"
+        return f"is voided ({run.voided.reason})"
     if run.status != "completed" or run.result is None:
         return f"is {run.status}"
-    return "does not know its scale" if run.result["scale"] is None else None
+    return "does not know its scale" if run.result.scale is None else None
 
 
 def basis_of(
@@ -97,7 +96,7 @@ def changed_since(
     """What a revision rests on that has changed since it was made, a sentence each."""
     said = []
     if run.voided is not None:
-        said.append(f"Run {run.id} has been voided: {run.voided['reason']}")
+        said.append(f"Run {run.id} has been voided: {run.voided.reason}")
     if run.unit != revision.unit:
         said.append(f"Run {run.id} belongs to unit {run.unit} now.")
         return said
@@ -177,7 +176,7 @@ class ActiveCalibration:
     of_rig: Sequence[AppliedEffect] = ()
     clamped_anew: bool = False
 
-    def result(self, poses: Sequence[Pose], gyro: GyroFigures | None) -> Result:
+    def result(self, poses: Sequence[Pose], gyro: Gyro | None) -> FittedResult:
         """What it leaves of fresh poses; without the effects where the poses lack what they need."""
         try:
             return self._applied(poses, gyro, self._beside(poses))
@@ -185,8 +184,8 @@ class ActiveCalibration:
             return self._applied(poses, gyro, ())
 
     def _applied(
-        self, poses: Sequence[Pose], gyro: GyroFigures | None, effects: Sequence[AppliedEffect]
-    ) -> Result:
+        self, poses: Sequence[Pose], gyro: Gyro | None, effects: Sequence[AppliedEffect]
+    ) -> FittedResult:
         return apply_calibration(
             poses, gyro, self.line, effects, self.reference, clamped_anew=self.clamped_anew
         )
@@ -243,11 +242,16 @@ def _reference(document: Document) -> ReferenceFigures | None:
     worth, stage = document["uncertainty"], reference_of(document["provenance"])
     by_map = worth.get("reference")
     if by_map is not None:
-        return ReferenceFigures.from_dict(by_map)
+        return ReferenceFigures.model_validate(by_map)
     if stage is None or worth["reference_bias_deg"] is None:
         return None
-    parts = worth["reference_bias_deg"], worth["reference_scale"]
-    return ReferenceFigures(stage.std_deg, stage.kind, *parts, stage.distribution)
+    return ReferenceFigures(
+        std_deg=stage.std_deg,
+        kind=stage.kind,
+        bias_std_deg=worth["reference_bias_deg"],
+        scale_std=worth["reference_scale"],
+        distribution=stage.distribution,
+    )
 
 
 def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None]:

@@ -18,7 +18,6 @@ from calrig.analysis.results import rest_on_map
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.solution_drafts import gone_since, solution_changes, solved_poses
 from calrig.analysis.stored_runs import stored_run
-from calrig.calibration.uncertainty import Limit
 from calrig.errors import WorkError
 from calrig.export.archive.contents import unit_archive
 from calrig.export.certificate.content import Certificate
@@ -30,6 +29,7 @@ from calrig.export.formats import CalibrationExporter, NoiseExporter
 from calrig.export.triads import NotHeldError
 from calrig.figures.svg import residual_steps, svg_of
 from calrig.laboratory import LaboratorySettings
+from calrig.model.verdict import Limit
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
 from calrig.store.records import Document, StoredPose

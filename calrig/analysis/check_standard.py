@@ -12,6 +12,7 @@ import numpy as np
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import FIGURES, Histories, histories
 from calrig.calibration.histories import RIG_CHART, Checks, checks
+from calrig.model.run import Suspect
 from calrig.store import CheckUnit, Run, Store
 
 Document = dict[str, Any]
@@ -48,11 +49,11 @@ class Suspects:
 
     doubts: Mapping[str, Sequence[Doubt]]
 
-    def of(self, rig: str | None, finished_at: datetime | None) -> Document | None:
-        """Why a run is suspect: `reason` and the check that failed; None where it is not."""
+    def of(self, rig: str | None, finished_at: datetime | None) -> Suspect | None:
+        """Why a run is suspect; None where it is not."""
         for doubt in self.doubts.get(rig or "", ()):
             if doubt.holds(rig, finished_at):
-                return {"reason": doubt.reason, "check_run_id": doubt.failed}
+                return Suspect(reason=doubt.reason, check_run_id=doubt.failed)
         return None
 
 

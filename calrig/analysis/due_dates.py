@@ -11,8 +11,9 @@ import numpy as np
 
 from calrig.analysis.histories import SECONDS_PER_DAY, Histories, histories
 from calrig.calibration.histories import Bounds, Forecast, IntArray, forecast
-from calrig.calibration.uncertainty import Limit, limit_for
+from calrig.calibration.uncertainty import limit_for
 from calrig.estimation.angles import FloatArray
+from calrig.model.verdict import Limit
 from calrig.store import Store
 
 INTERVAL_DAYS = 365.0

@@ -14,7 +14,7 @@ from typing import Any
 import calrig
 from calrig.analysis.errors import Invalid
 from calrig.analysis.results import as_applied
-from calrig.calibration.results import build_result
+from calrig.calibration.results import FittedResult, build_result
 from calrig.export.calibration_document import calibration_content
 from calrig.export.poses_csv import PoseColumns, read_run
 from calrig.store.records import AcceptedEffect, Document
@@ -34,7 +34,7 @@ class Imported:
     poses: PoseColumns
     mount_axis: str
     warnings: list[str]
-    result: Document | None
+    result: FittedResult | None
     content: Document | None
     accepted: Sequence[AcceptedEffect]
 
@@ -68,7 +68,7 @@ def read_and_fit(
     issued = None
     if result.scale is not None:
         issued = calibration_content(unit=unit, rig=rig, poses=poses, result=result, accepted=accepted)
-    return Imported(columns, axis, warnings, result.to_dict(), issued, accepted)
+    return Imported(columns, axis, warnings, result, issued, accepted)
 
 
 LONGEST_SERIAL = 100

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from calrig.analysis.histories import change_between, difference_in_words
 from calrig.calibration.uncertainty import (
-    Doubt,
     Line,
     clamping_doubts,
     displacement_doubts,
@@ -18,6 +17,7 @@ from calrig.calibration.uncertainty import (
     remount_doubts,
     repeat_doubts,
 )
+from calrig.model.result import Doubt, Result
 from calrig.store.issued import Revision
 from calrig.store.records import ComparisonRow, Document, Run
 
@@ -65,7 +65,7 @@ class KnownCalibration:
     run: Run
 
     @property
-    def result(self) -> Document:
+    def result(self) -> Result:
         """The run's own bias and scale, without effects: what the unit reads clamped as it was then."""
         assert self.run.result is not None  # noqa: S101 (as `known_calibration` looks for it)
         return self.run.result
@@ -90,13 +90,13 @@ def known_calibration(store: Store, unit: str) -> KnownCalibration | None:
         run = store.run(one.run_id)
         if run is None or run.voided is not None or run.unit != unit:
             continue
-        if run.result is not None and run.result["scale"] is not None:
+        if run.result is not None and run.result.scale is not None:
             return KnownCalibration(one, run)
     return None
 
 
 def doubts_about(
-    store: Store, new: Candidate, result: Document, content: Document, remount_limit_deg: float
+    store: Store, new: Candidate, result: Result, content: Document, remount_limit_deg: float
 ) -> list[Doubt]:
     """Return why a run's calibration may not be released by itself.
 
@@ -110,7 +110,7 @@ def doubts_about(
     known, own = known_calibration(store, new.unit), pose_doubts(result, new.mismatches)
     lost = _lost_doubts(store, new.unit, content)
     if known is None:
-        return [*own, *clamping_doubts(result["bias_deg"], None, remount_limit_deg), *lost]
+        return [*own, *clamping_doubts(result.bias_deg, None, remount_limit_deg), *lost]
     if known.run.id == new.run_id:  # the same poses once more: other effects, or some excluded
         return [*own, *lost]
     changed = _change_doubts(store, known, new, result, content, remount_limit_deg)
@@ -118,7 +118,7 @@ def doubts_about(
         *own,
         *changed,
         *position_doubts(changed, homes=new.homes),
-        *clamping_doubts(result["bias_deg"], known.result["bias_deg"], remount_limit_deg),
+        *clamping_doubts(result.bias_deg, known.result.bias_deg, remount_limit_deg),
         *lost,
     ]
 
@@ -131,7 +131,8 @@ def solution_doubts(store: Store, runs: Sequence[Run], content: Document) -> lis
     own = {
         doubt.says: doubt
         for run in runs
-        for doubt in pose_doubts(run.result or {}, run.faults.get("move_mismatch", 0))
+        if run.result is not None
+        for doubt in pose_doubts(run.result, run.faults.get("move_mismatch", 0))
     }
     return [*own.values(), *_lost_doubts(store, content["unit"], content)]
 
@@ -150,7 +151,7 @@ def _change_doubts(
     store: Store,
     known: KnownCalibration,
     new: Candidate,
-    result: Document,
+    result: Result,
     content: Document,
     remount_limit_deg: float,
 ) -> list[Doubt]:
@@ -165,6 +166,6 @@ def _change_doubts(
     return repeat_doubts(difference_in_words(found.figures, k, "changed"), known.name)
 
 
-def _row(one: Candidate, result: Document) -> ComparisonRow:
+def _row(one: Candidate, result: Result) -> ComparisonRow:
     """A run as comparisons have it, whether it is stored as completed already or not."""
-    return ComparisonRow(one.unit, one.run_id or "", one.rig, one.finished_at, result)
+    return ComparisonRow(one.unit, one.run_id or "", one.rig, one.finished_at, result.model_dump(mode="json"))

@@ -16,8 +16,10 @@ import numpy as np
 from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.stage_maps import kept_of
 from calrig.calibration.separation import StageMap, map_reference
-from calrig.calibration.uncertainty import Limit, Reference, cannot_pass, limit_for
-from calrig.plan import Plan
+from calrig.calibration.uncertainty import cannot_pass, limit_for
+from calrig.model.plan import Plan
+from calrig.model.result import Reference
+from calrig.model.verdict import Limit
 from calrig.settings import LimitSettings, RigSettings, Settings
 from calrig.store import Run, Store
 from calrig.store.errors import StoreError

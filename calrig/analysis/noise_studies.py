@@ -212,8 +212,8 @@ def _latest_static_run(store: Store, unit: str) -> Run:
 
 def gyro_scale_of(run: Run) -> float:
     """What a run found the gyro's scale to be; 1 where it does not know."""
-    scale = ((run.result or {}).get("gyro") or {}).get("scale")
-    return 1.0 if scale is None else float(scale)
+    scale = None if run.result is None else run.result.gyro.scale
+    return 1.0 if scale is None else scale
 
 
 def filters_of_run(store: Store, run_id: str) -> FilterStudy:

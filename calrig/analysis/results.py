@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calrig.calibration.poses import Pose, of_first_mount
-from calrig.calibration.results import AppliedEffect, GyroFigures, Result, build_result, numbers_of, residuals
+from calrig.calibration.results import AppliedEffect, FittedResult, build_result, numbers_of, residuals
 from calrig.calibration.separation import beyond_in_words, dial_of, map_reference
-from calrig.calibration.uncertainty import AS_PLANNED, Ending, Reference
+from calrig.calibration.uncertainty import AS_PLANNED, Ending
+from calrig.model.result import Gyro, Reference, Result
 from calrig.store.records import AcceptedEffect, Document, Run, map_of, reference_of
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ def fitted(
     poses: Sequence[Pose],
     accepted: Sequence[AcceptedEffect],
     provenance: Document,
-    gyro: GyroFigures | None = None,
+    gyro: Gyro | None = None,
     ending: Ending = AS_PLANNED,
-) -> Result:
+) -> FittedResult:
     """The result of poses of a unit on a rig.
 
     Args:
@@ -42,7 +42,7 @@ def fitted(
     effects = as_applied(accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None])
     reference = reference_over(poses, provenance, bent=bool(effects))
     result = build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance), ending)
-    return replace(result, lost_says=(provenance.get("sweep") or {}).get("lost"))
+    return result.model_copy(update={"lost_says": (provenance.get("sweep") or {}).get("lost")})
 
 
 def rest_on_map(poses: Sequence[Pose]) -> bool:
@@ -82,35 +82,28 @@ def unused_map_says(poses: Sequence[Pose], provenance: Document) -> str | None:
     return f"{beyond_in_words(poses, in_force)} {instead}"
 
 
-def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Document:
+def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Result:
     """The result of a run that has one, computed again from some of its poses.
 
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """
     accepted = store.effects_in_force(run.unit, run.rig)
-    result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run)).to_dict()
-    doubts = (run.result or {}).get("doubts")  # until the next draft says
-    return result if doubts is None else {**result, "doubts": doubts}
+    result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run))
+    if run.result is not None and "doubts" in run.result.model_fields_set:  # until the next draft says
+        result = result.with_doubts(run.result.doubts)
+    return result
 
 
-def gyro_of(run: Run) -> GyroFigures | None:
+def gyro_of(run: Run) -> Gyro | None:
     """What a stored run says of the gyro; None before it has a result."""
-    known = None if run.result is None else run.result.get("gyro")
-    if known is None:
-        return None
-    return GyroFigures(
-        bias_dps=tuple(known["bias_dps"]),
-        bias_std_dps=tuple(known["bias_std_dps"]),
-        scale=known["scale"],
-        scale_std=known["scale_std"],
-    )
+    return None if run.result is None else run.result.gyro
 
 
 def ending_of(run: Run) -> Ending:
     """How a stored run came to its end; as planned before it has a result."""
     return Ending(
         may_be_early=(run.plan or {}).get("until") is not None,
-        stopped_by=(run.result or {}).get("stopped_by", "plan"),
+        stopped_by="plan" if run.result is None else run.result.stopped_by,
     )
 
 
@@ -118,4 +111,4 @@ def pose_residuals_deg(run: Run, poses: Sequence[Pose]) -> list[float | None]:
     """What a run's bias and scale leave of each of its poses; None throughout before it has a result."""
     if run.result is None:
         return [None] * len(poses)
-    return residuals(poses, run.result["bias_deg"], run.result["scale"])
+    return residuals(poses, run.result.bias_deg, run.result.scale)

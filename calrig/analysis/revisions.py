@@ -20,10 +20,12 @@ from calrig.analysis.results import ending_of, fitted, gyro_of, reference_over
 from calrig.analysis.solution_drafts import solution_changes, solved_content, solved_run, solved_verdict
 from calrig.analysis.stored_runs import checked_reason, stored_run
 from calrig.calibration.poses import Pose
-from calrig.calibration.results import Result
-from calrig.calibration.uncertainty import REMOUNT_LIMIT_DEG, Doubt, limit_for, to_dicts
-from calrig.calibration.verdict import Verdict, verdict
+from calrig.calibration.results import FittedResult
+from calrig.calibration.uncertainty import REMOUNT_LIMIT_DEG, limit_for, to_dicts
+from calrig.calibration.verdict import verdict
 from calrig.export.calibration_document import calibration_content
+from calrig.model.result import Doubt, Result
+from calrig.model.verdict import Verdict
 from calrig.settings import ReleasePolicy, RigSettings
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Draft, Revision
@@ -73,7 +75,7 @@ class Fitted:
     """The poses of a run that count, what they give, and what was taken out beside bias and scale."""
 
     poses: Sequence[Pose]
-    result: Result
+    result: FittedResult
     accepted: Sequence[AcceptedEffect]
     excluded: Sequence[int] = ()
     chosen: Sequence[str] | None = None
@@ -205,7 +207,7 @@ class Issuer:
         if found is not None and found.warnings and not (reason or "").strip():
             raise Invalid(f"revision {number} has warnings: a reason is needed to release it", ["reason"])
         if found is not None and (voided := stored_run(self._store, found.run_id).voided):
-            raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided['reason']})")
+            raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided.reason})")
         return self._store.release(unit, number, by, None if reason is None else checked_reason(reason))
 
     def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
@@ -283,20 +285,20 @@ class Issuer:
             ),
             provenance=run.provenance,
         )
-        judged = self._judged(Candidate.of(run), fit.result.to_dict(), content, run.diagnosis)
+        judged = self._judged(Candidate.of(run), fit.result, content, run.diagnosis)
         if releases is None:
             releases = self._releases.puts_in_force(run.rig, judged.verdict)
         basis = basis_of(fit.accepted, fit.excluded, fit.chosen)
         return judged.draft(basis, releases=releases, by=by, reason=reason)
 
     def _judged(
-        self, new: Candidate, result: Document, content: Document, diagnosis: Document | None = None
+        self, new: Candidate, result: Result, content: Document, diagnosis: Document | None = None
     ) -> JudgedContent:
         """What a run would give its unit, with its doubts and its verdict."""
         remount_limit_deg = self._releases.remount_limit_deg(new.rig)
         doubts = doubts_about(self._store, new, result, content, remount_limit_deg)
         judged = verdict(
-            {**result, "doubts": to_dicts(doubts)},
+            result.with_doubts(doubts),
             diagnosis,
             limit=limit_for(self._store.limits(), new.unit, new.rig),
             calibration=content,

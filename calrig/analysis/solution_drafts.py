@@ -14,12 +14,14 @@ from calrig.analysis.results import gyro_of
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.poses import MOUNT_DEG, Pose, of_first_mount
 from calrig.calibration.regression import ApplyError
-from calrig.calibration.results import apply_calibration, numbers_of
+from calrig.calibration.results import FittedResult, apply_calibration, numbers_of
 from calrig.calibration.separation import MapError, StageMap, with_map
-from calrig.calibration.uncertainty import Doubt, Reference, ReferenceFigures, limit_for, to_dicts
-from calrig.calibration.verdict import Verdict, verdict
+from calrig.calibration.uncertainty import limit_for, reference_figures
+from calrig.calibration.verdict import verdict
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_document import line_of
+from calrig.model.result import Doubt, Reference
+from calrig.model.verdict import Verdict
 from calrig.run_ids import short_name
 from calrig.store import Run, Store
 from calrig.store.convert import iso_utc
@@ -69,7 +71,7 @@ def solution_changes(store: Store, solution: StoredSolution) -> list[str]:
 def gone_since(run: Run, unit: str) -> str | None:
     """That a run counts no more for a unit, whose calibration rests on it; None where it does."""
     if run.voided is not None:
-        return f"Run {run.id}, which it rests on, has been voided: {run.voided['reason']}"
+        return f"Run {run.id}, which it rests on, has been voided: {run.voided.reason}"
     return None if run.unit == unit else f"Run {run.id}, which it rests on, is of unit {run.unit} now."
 
 
@@ -139,26 +141,27 @@ def solved_verdict(
     effects = [(one["name"], numbers_of(one["parameters"])) for one in content["effects"]]
     try:
         result = apply_calibration(
-            counted, gyro_of(run), line, effects, ReferenceFigures.of(theta_deg, line, known)
+            counted, gyro_of(run), line, effects, reference_figures(theta_deg, line, known)
         )
     except ApplyError as error:
         raise Conflict(f"run {run.id}: {error}") from error
     return verdict(
-        {**_as_one_calibration(result.to_dict()), "doubts": to_dicts(doubts)},
+        _as_one_calibration(result).with_doubts(doubts),
         limit=limit_for(store.limits(), content["unit"], content["rig"]),
         calibration=content,
     )
 
 
-def _as_one_calibration(result: Document) -> Document:
+def _as_one_calibration(result: FittedResult) -> FittedResult:
     """A result whose bias and scale are nothing without the effects: 0 and 1 that nobody fitted."""
-    return {
-        **result,
-        "rms_calibrated_deg": result["rms_with_effects_deg"],
-        "rms_with_effects_deg": None,
-        "scale_std": None,
-        "over_range": {**result["over_range"], "covariance": None},
-    }
+    return result.model_copy(
+        update={
+            "rms_calibrated_deg": result.rms_with_effects_deg,
+            "rms_with_effects_deg": None,
+            "scale_std": None,
+            "over_range": None if result.over_range is None else replace(result.over_range, covariance=None),
+        }
+    )
 
 
 def _stage_map(solution: StoredSolution) -> StageMap:

@@ -191,7 +191,7 @@ def _runs(store: Store, wanted: SolutionRequest) -> list[Run]:
         runs += [ended_run(store, run_id) for run_id in counting if run_id not in named]
     for run in runs:
         if run.voided is not None:
-            raise Conflict(f"run {run.id} is voided ({run.voided['reason']}): leave it out, or unvoid it")
+            raise Conflict(f"run {run.id} is voided ({run.voided.reason}): leave it out, or unvoid it")
         if wanted.rig is not None and run.rig != wanted.rig:
             raise Conflict(f"run {run.id} is of rig {run.rig!r}, not of {wanted.rig!r}")
         if run.rig != runs[0].rig:

@@ -16,8 +16,9 @@ from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.calibration.diagnosis import Findings, diagnose
 from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose
 from calrig.export.poses_csv import Labels
+from calrig.model.run import AT_REST
 from calrig.processes.pool import run_in_subprocess
-from calrig.store.records import AT_REST, Run
+from calrig.store.records import Run
 
 if TYPE_CHECKING:
     from calrig.store import Store

@@ -18,8 +18,9 @@ from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
-from calrig.api.models import Answer, Body, MountAnswer, ProgressAnswer, Status
-from calrig.plan import Plan
+from calrig.api.models import Answer, Body
+from calrig.model.plan import Plan
+from calrig.model.run import Mount, Progress, Status
 from calrig.runs.batches import Standing, serials_in, word_of
 from calrig.runs.presence import BoardCheck
 from calrig.store import Run
@@ -117,8 +118,8 @@ class BatchRigAnswer(Answer):
     busy_with: str | None
     on: TurnAnswer | None
     status: Status | None = Field(description="Of the run under way.")
-    progress: ProgressAnswer | None
-    waiting_for: MountAnswer | None
+    progress: Progress | None
+    waiting_for: Mount | None
     seen: SeenAnswer | None
     next: TurnAnswer | None
     last: TurnAnswer | None
@@ -355,8 +356,8 @@ def _rig(
         busy_with=getattr(state, "run_id", None),
         on=None if on is None else _turn(standing, on),
         status=None if run is None else run.status,
-        progress=None if progress is None else ProgressAnswer.model_validate(progress),
-        waiting_for=None if progress is None else progress.get("waiting_for"),
+        progress=progress,
+        waiting_for=None if progress is None else progress.waiting_for,
         seen=_seen(standing, seen, on),
         next=None if then is None else _turn(standing, then),
         last=None if last is None else _turn(standing, last),

@@ -18,9 +18,10 @@ from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
-from calrig.api.models import Answer, Body, Extremes, Reason, ReasonIfAny
-from calrig.calibration.verdict import Verdict
+from calrig.api.models import Answer, Body, Reason, ReasonIfAny
 from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
+from calrig.model.result import Extremes
+from calrig.model.verdict import Verdict
 from calrig.store.issued import Revision, RevisionStatus
 
 ISSUED = ("json", "pdf", "dcc")

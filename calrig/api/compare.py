@@ -18,7 +18,9 @@ from calrig.analysis.histories import histories, unit_changes
 from calrig.api.context import Context
 from calrig.api.diagnoses import EffectAnswer
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Extremes, LineAnswer, SuspectAnswer
+from calrig.api.models import Answer
+from calrig.model.result import Extremes, FittedLine
+from calrig.model.run import Suspect
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
@@ -79,14 +81,14 @@ Units = Annotated[
 ]
 
 
-class ComparedRun(LineAnswer):
+class ComparedRun(FittedLine):
     """The figures of one completed, not voided calibration."""
 
     run_id: str
     finished_at: datetime
     temperature_c: Extremes
     effects: list[str]
-    suspect: SuspectAnswer | None
+    suspect: Suspect | None
 
 
 class ComparedUnit(Answer):

@@ -116,7 +116,7 @@ async def _defect(_request: Request, _error: Exception) -> JSONResponse:
     return JSONResponse({"detail": DEFECT}, 500, HEADERS | NOT_KEPT)
 
 
-async def _validation_error(_request: Request, error: Exception) -> JSONResponse:
+async def _validation_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 (as registered)
     # pydantic's places begin with where they were looked for: body, query or path
     problems = [{**one, "loc": one["loc"][1:]} for one in error.errors()]
@@ -124,7 +124,13 @@ async def _validation_error(_request: Request, error: Exception) -> JSONResponse
         said = f"The body is not JSON: {problems[0].get('ctx', {}).get('error', problems[0]['msg'])}"
         return JSONResponse({"detail": said}, status_code=422)
     named = _naming([path_of(one) for one in problems[:SHOWN]])
-    return JSONResponse({"detail": in_words(problems)}, 422, named)
+    return JSONResponse({"detail": in_words(problems, _body_of(request))}, 422, named)
+
+
+def _body_of(request: Request) -> object:
+    """The type of the body that the path takes; None where it takes none."""
+    body = getattr(request.scope.get("route"), "body_field", None)
+    return None if body is None else body.field_info.annotation
 
 
 async def _http_error(_request: Request, error: Exception) -> JSONResponse:

@@ -13,7 +13,8 @@ from starlette.exceptions import HTTPException
 
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems_in_json
-from calrig.store import AT_REST, Event
+from calrig.model.run import AT_REST
+from calrig.store import Event
 
 BATCH = 500
 """Events read at once: a long run's log is replayed in pieces, not held in memory whole."""

@@ -79,7 +79,7 @@ def _residual(context: ApiContext, run: Run) -> figures.Figure:
     return figures.residual(
         poses,
         left_deg=None if run.result is None else left_of_poses_deg(context.store, run, poses),
-        scale=None if run.result is None else run.result["scale"],
+        scale=None if run.result is None else run.result.scale,
         excluded={place for place, s in enumerate(stored) if s.excluded is not None},
     )
 

@@ -11,7 +11,7 @@ from calrig.api.access import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer
-from calrig.calibration.uncertainty import Limit
+from calrig.model.verdict import Limit
 from calrig.settings import LimitSettings
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.

@@ -7,11 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from calrig.calibration.uncertainty import Doubt, RangeErrors
-from calrig.calibration.verdict import Verdict
-from calrig.plan import Plan
-
-Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
+from calrig.model.plan import Plan
+from calrig.model.run import Run
+from calrig.model.verdict import Verdict
 
 
 class Body(BaseModel):
@@ -115,122 +113,11 @@ class RigAnswer(Answer):
     clamp: str | None
 
 
-class MountAnswer(Answer):
-    """How a person is to clamp the unit before `resume`."""
-
-    mount_deg: float
-    mount_axis: str = Field(description="Which of the unit's axes lies along the stage's.")
-
-
-class ProgressAnswer(Answer):
-    """How far a run is, and what a paused one waits for."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    poses_done: int
-    poses_total: int
-    fraction: float
-    remaining_s: float | None
-    waiting_for: MountAnswer | None = None  # of runs stored before there was any: null
-
-
-class Extremes(Answer):
-    """Least and greatest."""
-
-    min: float | None
-    max: float | None
-
-
-class GyroAnswer(Answer):
-    """The gyro: bias of each axis, and the stage's rotation over the integrated rate about the stage axis."""
-
-    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
-    bias_std_dps: list[float | None] = Field(min_length=3, max_length=3)
-    scale: float | None
-    scale_std: float | None
-
-
-class ReferenceAnswer(Answer):
-    """What the rig said its stage is worth, and its part of bias and scale: type B, √n does not shrink it."""
-
-    std_deg: float
-    kind: Literal["setting", "harmonic", "common", "map"]
-    bias_std_deg: float
-    scale_std: float | None
-    distribution: Literal["rectangular", "normal"] = "rectangular"
-    line_covariance: tuple[tuple[float, float], tuple[float, float]] | None = Field(
-        default=None, description="Of the line that a map's error is taken for; null but for `map`."
-    )
-
-
-class LineAnswer(Answer):
-    """The figures of a fitted line: of a run's result, and of it among others."""
-
-    bias_deg: float
-    bias_std_deg: float | None
-    scale: float | None
-    scale_std: float | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-
-
-class ResultAnswer(LineAnswer):
-    """reading = bias_deg + scale·elevation; RMS as √(Σr²/n). `bias_std_deg`, `scale_std` are of type A."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    n_poses: int
-    noise_deg: float | None
-    temperature_c: Extremes | None
-    gyro: GyroAnswer
-    reference: ReferenceAnswer | None = None  # of runs stored before it was computed: null
-    over_range: RangeErrors | None = None  # likewise
-    stopped_by: Literal["plan", "until"] = "plan"
-    doubts: list[Doubt] = []
-    reference_says: str | None = Field(
-        None, description="Why the stage's map was not used, or what errors are relative to."
-    )
-    lost_says: str | None = Field(None, description="What of the plan could not be measured.")
-
-
-class VoidedAnswer(Answer):
-    """Why and when a run was voided."""
-
-    reason: str
-    at: datetime
-
-
-class SuspectAnswer(Answer):
-    """The rig was in doubt when the run was made: its check unit failed since it had last passed."""
-
-    reason: str
-    check_run_id: str
-
-
-class RunAnswer(Answer):
+class RunAnswer(Run):
     """A run. `plan` is null for an imported one; `voided` is null for one that counts."""
 
-    id: str
-    unit: str
-    rig: str | None
-    status: Status
-    verdict: Verdict | None
     plan: Plan | None
-    progress: ProgressAnswer
-    result: ResultAnswer | None
-    diagnosis: dict[str, Any] | None
-    faults: dict[str, int]
-    follows: str | None
-    provenance: dict[str, Any]
-    operator: str | None
-    note: str | None
-    voided: VoidedAnswer | None
-    created_at: datetime
-    started_at: datetime | None
-    finished_at: datetime | None
-    error: str | None
-    suspect: SuspectAnswer | None
+    verdict: Verdict | None
 
 
 class RunList(Answer):

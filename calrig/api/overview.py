@@ -13,8 +13,9 @@ from fastapi.responses import Response
 from pydantic import Field, TypeAdapter
 
 from calrig.api.context import ApiContext, Context
-from calrig.api.models import Answer, MountAnswer, ProgressAnswer, Status
+from calrig.api.models import Answer
 from calrig.centre.overview import overview
+from calrig.model.run import Mount, Progress, Status
 
 FRESH_S = 1.0
 """How old what a watcher gets may be."""
@@ -31,8 +32,8 @@ class BriefRunAnswer(Answer):
     unit: str
     kind: str
     status: Status
-    progress: ProgressAnswer
-    waiting_for: MountAnswer | None
+    progress: Progress
+    waiting_for: Mount | None
     created_at: datetime
     finished_at: datetime | None
     error: str | None

@@ -19,7 +19,7 @@ from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, Heavy, Wait
 from calrig.api.models import Answer, Body
 from calrig.calibration.plan_design import Goals
-from calrig.plan import Plan, Until
+from calrig.model.plan import Plan, Until
 from calrig.runs.plan_designs import DesignInputs, DesignRequest, answer, question
 from calrig.runs.plan_estimates import estimate, grid_says, wall_pace
 from calrig.runs.rig import overdue_says

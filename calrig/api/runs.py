@@ -34,12 +34,12 @@ from calrig.api.models import (
     RunAnswer,
     RunList,
     StartRun,
-    Status,
 )
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind, stanza
-from calrig.plan import ElevationDeg, MountAxis
+from calrig.model.plan import ElevationDeg, MountAxis
+from calrig.model.run import Status
 from calrig.run_ids import FEWEST
 from calrig.store import Run
 from calrig.store.convert import iso_utc

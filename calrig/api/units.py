@@ -11,7 +11,7 @@ import re
 from dataclasses import asdict
 from datetime import date
 from itertools import chain
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 from unicodedata import category
 
 from fastapi import APIRouter
@@ -48,6 +48,16 @@ class ItemBody(Body):
     `supplied` names the fields that are the customer's own word; `interval_agreed_months` is for where the
     customer agreed to an interval.
     """
+
+    TITLES: ClassVar = {
+        "customer": "Customer",
+        "address": "Customer's address",
+        "order": "Order",
+        "received_at": "Date of receipt",
+        "condition": "Condition at receipt",
+        "description": "Description",
+        "interval_agreed_months": "Months until the next calibration",
+    }
 
     customer: Words | None = None
     address: Words | None = None

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Protocol
 
 from calrig.calibration.diagnosis.verdict import (
@@ -21,11 +21,8 @@ from calrig.calibration.diagnosis.verdict import (
     not_repeated_better,
     upper_limit,
 )
-from calrig.calibration.uncertainty.budget import RangeErrors, Reference, ReferenceFigures, frozen
+from calrig.calibration.uncertainty.budget import frozen
 from calrig.calibration.uncertainty.conformity import (
-    Answer,
-    Interval,
-    Limit,
     beyond_interval,
     decide,
     deg,
@@ -36,8 +33,8 @@ from calrig.calibration.uncertainty.conformity import (
 )
 from calrig.calibration.uncertainty.coverage import coverage_factor
 from calrig.calibration.uncertainty.doubts import STAYS_A_DRAFT, doubts_of
-
-Left = Literal["noise", "more_than_noise"]
+from calrig.model.result import RangeErrors, Reference, Result
+from calrig.model.verdict import Answer, Interval, Left, Limit, Verdict
 
 
 class Figures(Protocol):
@@ -201,7 +198,7 @@ class Measured:
     found: RangeErrors
     reference: Reference | None
     reference_std: tuple[float, float] | None
-    rms_deg: float
+    rms_deg: float | None
     level_known: bool
 
     @property
@@ -245,8 +242,10 @@ class Measured:
         return self._expanded(1)
 
     @property
-    def rms_expanded_deg(self) -> float:
+    def rms_expanded_deg(self) -> float | None:
         """Expanded uncertainty of the RMS."""
+        if self.rms_deg is None:
+            return None
         return 1.96 * self.rms_deg / math.sqrt(2.0 * max(self.found.freedom, 1))
 
     @property
@@ -267,7 +266,7 @@ class Measured:
 
 
 def held_against(
-    limit: Limit, result: Document, calibration: Document | None, *, relied_on: bool
+    limit: Limit, result: Result, calibration: Document | None, *, relied_on: bool
 ) -> LimitVerdict:
     """Holds a result against a limit.
 
@@ -303,12 +302,12 @@ def held_against(
     )
 
 
-def without_figures(result: Document) -> Answer:
+def without_figures(result: Result) -> Answer:
     """The answer where no error over the range was kept, or there is none."""
-    return "fail" if result["rms_calibrated_deg"] is None else "undecided"
+    return "fail" if result.rms_calibrated_deg is None else "undecided"
 
 
-def _nothing_to_hold(limit: Limit, result: Document) -> LimitVerdict:
+def _nothing_to_hold(limit: Limit, result: Result) -> LimitVerdict:
     """The same in words."""
     against, answer = f"against the limits “{limit.name}”", without_figures(result)
     if answer == "fail":
@@ -320,12 +319,11 @@ def _nothing_to_hold(limit: Limit, result: Document) -> LimitVerdict:
     return LimitVerdict(answer, says, None, None)
 
 
-def measured_of(result: Document, calibration: Document | None = None) -> Measured | None:
+def measured_of(result: Result, calibration: Document | None = None) -> Measured | None:
     """What of a result limits are held against; None where it has no error over the range."""
-    over = result.get("over_range")
-    if over is None:
+    found = result.over_range
+    if found is None:
         return None
-    found = RangeErrors.from_dict(over)
     if calibration is not None:
         same = ("bias_deg", "scale", "covariance", "expanded_uncertainty_deg", "coverage_factor")
         own_deg = found.error_expanded_uncertainty_deg
@@ -333,12 +331,13 @@ def measured_of(result: Document, calibration: Document | None = None) -> Measur
         if own_deg is not None and found.expanded_uncertainty_deg is not None:
             least_deg = min(own_deg, found.expanded_uncertainty_deg)
             found = replace(found, error_expanded_uncertainty_deg=least_deg)
-    stage = result.get("reference")
-    rms = result["rms_calibrated_deg" if result["rms_with_effects_deg"] is None else "rms_with_effects_deg"]
+    stage = result.reference
+    with_effects = result.rms_with_effects_deg
+    rms = result.rms_calibrated_deg if with_effects is None else with_effects
     return Measured(
         found=found,
-        reference=stage and ReferenceFigures.from_dict(stage).reference,
-        reference_std=stage and (stage["bias_std_deg"], stage["scale_std"] or 0.0),
+        reference=None if stage is None else stage.reference,
+        reference_std=None if stage is None else (stage.bias_std_deg, stage.scale_std or 0.0),
         rms_deg=rms,
         level_known=bool((calibration or {}).get("level_known", False)),
     )
@@ -394,7 +393,7 @@ def _say_between(name: str, unit: str, allowed: Interval, found: Decided) -> str
 
 
 def _probability(limit: Limit, measured: Measured) -> float | None:
-    if measured.reference is None or measured.expanded_deg is None:
+    if measured.reference is None or measured.expanded_deg is None or measured.rms_deg is None:
         return None
     asked = limit.expanded_uncertainty_deg
     if asked is not None and (measured.found.expanded_uncertainty_deg or 0.0) > asked:
@@ -422,39 +421,8 @@ WORTH_APPLYING = 3.0
 """Standard errors by which a scale must differ from 1 before it is worth applying."""
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """CONTRACT section 2, "Verdict".
-
-    Attributes:
-        answer: against the limits that match; `no_limits` where none do.
-        left: what is left after everything accepted; None where the noise is not known.
-        ratio: RMS of what is left over what noise alone would leave, 1 at best; None likewise.
-        says: the same in sentences, the answer first.
-        limit: name of the limit that was applied.
-        probability_of_conformity: that what the limit asks holds of the true figures; None without a limit,
-            and where it is not known.
-        probability_of_false_accept: of a pass, that it is wrong.
-        reliable: False where a person must look before anything is released; None in verdicts that were
-            issued before there was this word.
-    """
-
-    answer: Answer | Literal["no_limits"]
-    left: Left | None
-    ratio: float | None
-    says: tuple[str, ...]
-    limit: str | None
-    probability_of_conformity: float | None = None
-    probability_of_false_accept: float | None = None
-    reliable: bool | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """The verdict ready for JSON."""
-        return {**asdict(self), "says": list(self.says)}
-
-
 def verdict(
-    result: Document,
+    result: Result,
     diagnosis: Document | None = None,
     *,
     verification: bool = False,
@@ -490,12 +458,12 @@ def verdict(
         *_left_in_words(left, ratio, bound, freedom, alone=held is None),
         _before_and_after(result, verification=verification),
         *_of_the_stage(result, freedom, left),
-        *([result["reference_says"]] if result.get("reference_says") else []),
+        *([result.reference_says] if result.reference_says else []),
         *_diagnosed(diagnosis, left),
         *([] if verification else _scale(result)),
     ]
-    if result["n_poses"] < FEW_POSES:
-        says.append(f"It rests on only {_poses(result['n_poses'])}.")
+    if result.n_poses < FEW_POSES:
+        says.append(f"It rests on only {_poses(result.n_poses)}.")
     if limit is None or held is None:
         return Verdict("no_limits", left, ratio, tuple(says), limit=None, reliable=not doubts)
     return Verdict(
@@ -511,7 +479,7 @@ def verdict(
 
 
 def verdict_figures(
-    result: Document, diagnosis: Document | None, *, verification: bool, move_mismatches: int
+    result: Result, diagnosis: Document | None, *, verification: bool, move_mismatches: int
 ) -> VerdictFigures:
     """What `answer` and `left` of a run's verdict follow from, of the same arguments."""
     ratio, bound, _ = _over_noise(result, diagnosis, verification=verification)
@@ -524,11 +492,11 @@ def verdict_figures(
 
 
 def _over_noise(
-    result: Document, diagnosis: Document | None, *, verification: bool
+    result: Result, diagnosis: Document | None, *, verification: bool
 ) -> tuple[float | None, float | None, int]:
     """What is left over what noise would leave, the bound of noise alone, and the degrees of freedom."""
     fitted = 0 if verification else _fitted_parameters(result, diagnosis)
-    freedom = result["n_poses"] - fitted
+    freedom = result.n_poses - fitted
     ratio = _ratio(result, freedom)
     return ratio, None if ratio is None else upper_limit(freedom), freedom
 
@@ -539,30 +507,30 @@ def _left(ratio: float | None, bound: float | None) -> Left | None:
     return "noise" if ratio <= bound else "more_than_noise"
 
 
-def _fitted_parameters(result: Document, diagnosis: Document | None) -> int:
+def _fitted_parameters(result: Result, diagnosis: Document | None) -> int:
     """Bias, scale, and what was fitted to these poses of the effects accepted from their diagnosis."""
-    line = 1 if result["scale"] is None else 2
-    if diagnosis is None or result["rms_with_effects_deg"] is None:
+    line = 1 if result.scale is None else 2
+    if diagnosis is None or result.rms_with_effects_deg is None:
         return line
     accepted = [effect for effect in diagnosis["effects"] if effect.get("accepted_at") is not None]
     values = [value for effect in accepted for value in effect["parameters"].values()]
     return line + sum(value is not None and value["std"] is not None for value in values)
 
 
-def _left_deg(result: Document) -> float | None:
+def _left_deg(result: Result) -> float | None:
     """RMS that is left of a reading, degrees, after everything accepted."""
-    with_effects: float | None = result["rms_with_effects_deg"]
-    calibrated: float | None = result["rms_calibrated_deg"] if with_effects is None else with_effects
-    scale = result["scale"]
+    with_effects = result.rms_with_effects_deg
+    calibrated = result.rms_calibrated_deg if with_effects is None else with_effects
+    scale = result.scale
     return None if calibrated is None else calibrated * (1.0 if scale is None else abs(scale))
 
 
-def _ratio(result: Document, freedom: int, also_deg: float = 0.0) -> float | None:
+def _ratio(result: Result, freedom: int, also_deg: float = 0.0) -> float | None:
     """What is left over what noise (and a further error of each pose) would leave."""
-    left_deg, noise_deg = _left_deg(result), result["noise_deg"]
+    left_deg, noise_deg = _left_deg(result), result.noise_deg
     if left_deg is None or not noise_deg or freedom < 1:
         return None
-    expected_deg = math.hypot(noise_deg, also_deg) * math.sqrt(freedom / result["n_poses"])
+    expected_deg = math.hypot(noise_deg, also_deg) * math.sqrt(freedom / result.n_poses)
     return float(left_deg / expected_deg)
 
 
@@ -581,10 +549,8 @@ def _left_in_words(
     ]
 
 
-def _before_and_after(result: Document, *, verification: bool) -> str:
-    raw, calibrated, both = (
-        result[key] for key in ("rms_raw_deg", "rms_calibrated_deg", "rms_with_effects_deg")
-    )
+def _before_and_after(result: Result, *, verification: bool) -> str:
+    raw, calibrated, both = result.rms_raw_deg, result.rms_calibrated_deg, result.rms_with_effects_deg
     if calibrated is None:
         return f"RMS error {deg(raw)} raw; the reading does not follow the stage and cannot be calibrated."
     if verification:
@@ -596,20 +562,20 @@ def _before_and_after(result: Document, *, verification: bool) -> str:
         words = f"RMS error {deg(raw)} raw, {deg(calibrated)} calibrated"
         if both is not None:
             words += f", {deg(both)} with accepted effects"
-    if result["noise_deg"] is not None:
-        words += f"; standard error of one reading {deg(result['noise_deg'])}"
+    if result.noise_deg is not None:
+        words += f"; standard error of one reading {deg(result.noise_deg)}"
     return f"{words}."
 
 
-def _of_the_stage(result: Document, freedom: int, left: str | None) -> list[str]:
+def _of_the_stage(result: Result, freedom: int, left: str | None) -> list[str]:
     """That a stage which sets each pose anew explains what is left, where it does."""
-    reference = result.get("reference")
-    if left != "more_than_noise" or reference is None or reference["kind"] != "setting":
+    reference = result.reference
+    if left != "more_than_noise" or reference is None or reference.kind != "setting":
         return []
-    ratio = _ratio(result, freedom, reference["std_deg"])
+    ratio = _ratio(result, freedom, reference.std_deg)
     if ratio is None or ratio > upper_limit(freedom):
         return []
-    return [f"The stage's own setting uncertainty of {deg(reference['std_deg'])} accounts for it."]
+    return [f"The stage's own setting uncertainty of {deg(reference.std_deg)} accounts for it."]
 
 
 def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
@@ -636,7 +602,7 @@ def _found(effect: Document) -> str:
     return f"The diagnosis cannot distinguish {' from '.join(names)}."
 
 
-def _scale(result: Document) -> list[str]:
+def _scale(result: Result) -> list[str]:
     scale, std = _scale_as_applied(result)
     if scale is None:
         return ["All poses stand at one elevation: the scale is not known and counts as 1."]
@@ -646,18 +612,18 @@ def _scale(result: Document) -> list[str]:
     if distance <= WORTH_APPLYING * std:
         return ["The scale does not differ significantly from 1."]
     words = f"The scale differs from 1 by {distance / std:.0f} standard errors"
-    of_stage = (result.get("reference") or {}).get("scale_std") or 0.0
+    of_stage = (0.0 if result.reference is None else result.reference.scale_std) or 0.0
     if distance > WORTH_APPLYING * math.hypot(std, of_stage):
         return [f"{words}."]
     return [f"{words}, but no more than the stage's own uncertainty allows."]
 
 
-def _scale_as_applied(result: Document) -> tuple[float | None, float | None]:
+def _scale_as_applied(result: Result) -> tuple[float | None, float | None]:
     """The scale and its standard error, beside all effects accepted where the result says so."""
-    over = result.get("over_range")
-    if over is None or over["covariance"] is None:
-        return result["scale"], result["scale_std"]
-    return over["scale"], math.sqrt(over["covariance"][1][1])
+    over = result.over_range
+    if over is None or over.covariance is None:
+        return result.scale, result.scale_std
+    return over.scale, math.sqrt(over.covariance[1][1])
 
 
 def _poses(count: int) -> str:

@@ -24,7 +24,8 @@ from calrig.analysis.revisions import Fitted, Issuer
 from calrig.analysis.stored_runs import stored_run
 from calrig.centre.bench_rigs import BenchCounts, BenchRig, BenchRigs
 from calrig.instruments.clock import WALL, Clock
-from calrig.plan import MountAxis, Plan
+from calrig.model.plan import MountAxis, Plan
+from calrig.model.run import AT_REST, TERMINAL, UNFINISHED
 from calrig.runs.assignment import NewRun, order_part, rig_followed_up_on
 from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.plan_estimates import planned_poses
@@ -36,11 +37,11 @@ from calrig.runs.stage_position import check_stage_at
 from calrig.runs.stopping import BY_REQUEST
 from calrig.runs.stopping_rule import require_reachable
 from calrig.settings import RigSettings
-from calrig.store import AT_REST, Run, StoredPose, StoreError
+from calrig.store import Run, StoredPose, StoreError
 from calrig.store.benches import Bench, Kind
 from calrig.store.postgresql.listening import Listening
 from calrig.store.postgresql.set_up import ANSWERS, EVENTS, PARCELS
-from calrig.store.records import TERMINAL, UNFINISHED, Document
+from calrig.store.records import Document
 from calrig.store.store import Store
 from calrig.store.unpacking import Conclude, Conclusion, Kept
 
@@ -189,7 +190,7 @@ def concluded(store: Store, issuer: Issuer, run: Run, stored: Sequence[StoredPos
         try:
             applied = active_calibration(store, run.unit, run.rig, run.provenance.get("verifies_revision"))
         except Conflict:  # it was verified by a revision that this store has never had
-            return run.result, None
+            return None if run.result is None else run.result.to_dict(), None
         return applied.result(poses, gyro).to_dict(), None
     accepted = store.effects_in_force(run.unit, run.rig)
     result = fitted(poses, accepted, run.provenance, gyro, ending_of(run))

@@ -14,7 +14,7 @@ from calrig.errors import InputError
 if TYPE_CHECKING:
     from calrig.calibration.poses import Pose
     from calrig.export.static_csv import StaticLog
-    from calrig.plan import Plan
+    from calrig.model.plan import Plan
 
 LARGEST_LOG = 1_500_000_000
 """Bytes; more than a day at 200 Hz."""
@@ -82,7 +82,7 @@ def read_plan_file(file: Path) -> Plan:
     from pydantic import ValidationError
 
     from calrig.invalid_fields import path_of, reason
-    from calrig.plan import Plan
+    from calrig.model.plan import Plan
 
     try:
         text = read_bytes(file, LARGEST_PLAN).decode("utf-8-sig")

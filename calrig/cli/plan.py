@@ -17,7 +17,7 @@ from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from calrig.client import Client
-    from calrig.plan import Plan
+    from calrig.model.plan import Plan
 
 DOING = "designing the plan"
 
@@ -58,7 +58,7 @@ def plan(
 ) -> None:
     """Design the shortest plan for an uncertainty, or the best one for a time; nothing moves."""
     from calrig.cli import output
-    from calrig.plan import Plan
+    from calrig.model.plan import Plan
 
     if (target_u is None) == (time is None):
         raise InputError("plan: give --target-u DEG, or --time S")
@@ -115,7 +115,7 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
     from calrig.analysis.stage_maps import configured_maps
     from calrig.calibration.plan_design import Goals
     from calrig.cli.progress import late_bar
-    from calrig.plan import Until
+    from calrig.model.plan import Until
     from calrig.runs.plan_designs import DesignRequest, answer, question
     from calrig.settings import load_settings, store_url
     from calrig.store import Store

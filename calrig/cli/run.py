@@ -40,7 +40,7 @@ def run(
     """
     from calrig.cli.followed_run import FollowedRun
     from calrig.cli.progress import carry_out
-    from calrig.plan import Plan
+    from calrig.model.plan import Plan
 
     the_plan = read_plan_file(plan) if plan else Plan()
     with ExitStack() as stack:

@@ -29,7 +29,7 @@ from calrig.client.transport import Transport, part
 if TYPE_CHECKING:
     from calrig.client.documents import FiltersStudy, NoiseStudy
     from calrig.loaded import Calibration
-    from calrig.plan import Plan
+    from calrig.model.plan import Plan
 
 
 class Studies(Transport):

@@ -10,22 +10,22 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from calrig.client.errors import Unreachable
+from calrig.model.base import Model
+from calrig.model.result import Result
+from calrig.model.run import AT_REST, Run, Status
+from calrig.model.verdict import Verdict
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+__all__ = ["AT_REST", "Result", "Status", "Verdict"]
+"""Of the model; the documents below are this module's own."""
 
 
-Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
-AT_REST = frozenset({"completed", "failed", "aborted", "interrupted"})
-"""A run in one of these is carried out by nobody."""
-
-
-class Document(BaseModel):
+class Document(Model):
     """A part of an answer; it does not change."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(extra="allow")
 
     @classmethod
     def of(cls, answer: Any) -> Self:
@@ -51,77 +51,11 @@ class Document(BaseModel):
         return [cls.of(one) for one in answer]
 
 
-class Mount(Document):
-    """How the unit is to be clamped before a run goes on."""
-
-    mount_deg: float
-    mount_axis: str
-
-
-class Progress(Document):
-    """How far a run is."""
-
-    poses_done: int
-    poses_total: int
-    fraction: float
-    remaining_s: float | None
-    waiting_for: Mount | None
-
-
-class Gyro(Document):
-    """Bias of each axis, and the stage's rotation over the integrated rate about the stage's axis."""
-
-    bias_dps: list[float | None]
-    bias_std_dps: list[float | None]
-    scale: float | None
-    scale_std: float | None
-
-
-class Result(Document):
-    """reading = bias_deg + scale·elevation; standard errors are of type A (noise)."""
-
-    bias_deg: float
-    bias_std_deg: float | None
-    scale: float | None
-    scale_std: float | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-    n_poses: int
-    noise_deg: float | None
-    gyro: Gyro
-
-
-class Verdict(Document):
-    """The answer to the limits that match, what is left, and sentences that say it."""
-
-    answer: Literal["pass", "conditional_pass", "conditional_fail", "fail", "undecided", "no_limits"]
-    left: str | None
-    says: list[str]
-    reliable: bool | None = None
-
-
-class RunRecord(Document):
+class RunRecord(Run, Document):
     """A run as the service has it."""
 
-    id: str
-    unit: str
-    rig: str | None
-    status: Status
-    verdict: Verdict | None
     plan: dict[str, Any] | None
-    progress: Progress
-    result: Result | None
-    diagnosis: dict[str, Any] | None
-    faults: dict[str, int]
-    follows: str | None
-    provenance: dict[str, Any]
-    operator: str | None
-    note: str | None
-    created_at: datetime
-    started_at: datetime | None
-    finished_at: datetime | None
-    error: str | None
+    verdict: Verdict | None
 
 
 class RunEvent(Document):
@@ -289,9 +223,6 @@ class JobState(Document):
     result: str | None
     error: str | None
     error_status: int | None = None  # services before it was told have none
-
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 
 class Figure(Document):

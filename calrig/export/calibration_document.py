@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit, urlunsplit
@@ -17,12 +16,13 @@ import numpy as np
 from calrig.calibration.effects import effect_of
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose, of_first_mount
-from calrig.calibration.results import Result
+from calrig.calibration.results import FittedResult
 from calrig.calibration.separation import in_words
-from calrig.calibration.uncertainty import Reference, ReferenceFigures, uncertainty
+from calrig.calibration.uncertainty import reference_figures, uncertainty
 from calrig.canonical_json import sha256_of
 from calrig.errors import InputError
 from calrig.estimation.angles import FloatArray
+from calrig.model.result import Reference
 from calrig.store.records import AcceptedEffect, Document
 
 SCHEMA = "calrig.calibration/2"
@@ -105,7 +105,7 @@ def calibration_content(
     unit: str,
     rig: str | None,
     poses: Sequence[Pose],
-    result: Result,
+    result: FittedResult,
     accepted: Sequence[AcceptedEffect] = (),
     reference: Reference | None = None,
     provenance: Document | None = None,
@@ -168,7 +168,7 @@ def _by_map(
     if reference is None or reference.kind != "map":
         return {}
     kept = provenance["stage_map"]
-    figures = asdict(ReferenceFigures.of(elevations, line, reference))
+    figures = reference_figures(elevations, line, reference).model_dump(mode="json")
     return {"reference": {**figures, "sha256": kept["sha256"], "says": in_words(kept)}}
 
 

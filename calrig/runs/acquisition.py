@@ -19,7 +19,7 @@ from calrig.estimation.angles import AXES, along_axis, elevation_deg, wrap_deg
 from calrig.estimation.kalman import KalmanFilter, KalmanNoise
 from calrig.instruments.axis import Motion
 from calrig.instruments.types import GAP_PERIODS, Board, FloatArray, Samples
-from calrig.plan import Plan
+from calrig.model.plan import Plan
 from calrig.runs.control import ENDED, Control, ResumeRequest
 from calrig.runs.mounting import Mount, OwnErrors, angle_about_deg
 from calrig.runs.recorder import Recorder

@@ -27,7 +27,7 @@ from calrig.calibration.poses import Pose
 from calrig.estimation.gyro import GyroBias
 from calrig.instruments.transcript import Tape, Tapes
 from calrig.instruments.types import Board
-from calrig.plan import Plan, PlannedPose
+from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.follow_up import Designed, FollowUpQuestion, FollowUpRun
 from calrig.settings import RigSettings
 from calrig.store import Run, Store

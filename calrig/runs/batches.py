@@ -22,7 +22,8 @@ from typing import Literal
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.imports import check_serial
 from calrig.analysis.stage_maps import kept_of
-from calrig.plan import Plan
+from calrig.model.plan import Plan
+from calrig.model.run import TERMINAL
 from calrig.processes.pool import OffloadedCall
 from calrig.runs.mounting import Mount
 from calrig.runs.plan_estimates import planned_poses
@@ -31,7 +32,6 @@ from calrig.runs.stopping_rule import require_reachable
 from calrig.store import Run
 from calrig.store.batches import Batch, Turn
 from calrig.store.errors import ChangedMeanwhile, Refused, StoreError
-from calrig.store.records import TERMINAL
 
 Failed = Literal["end", "follow_up"]
 """What becomes of a unit that failed: another turn at the end of the list, or the run that tells why."""
@@ -103,7 +103,7 @@ def word_of(run: Run) -> Word | None:
 
     A conditional pass is no more than `done`, nor is what is undecided.
     """
-    if run.status == "failed" and run.progress["poses_done"]:
+    if run.status == "failed" and run.progress.poses_done:
         return "fail"
     if run.status != "completed":
         return None

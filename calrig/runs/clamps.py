@@ -11,7 +11,7 @@ from calrig.analysis.errors import Conflict
 from calrig.instruments.clamps.index import CLAMPS
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
-from calrig.plan import MountAxis
+from calrig.model.plan import MountAxis
 from calrig.runs.crew import WorkerRegistry
 from calrig.runs.single_flight import SharedTask, SingleFlight
 from calrig.settings import ClampSettings, RigSettings

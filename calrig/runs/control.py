@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from calrig.instruments.clock import WALL, Clock, Event
 from calrig.instruments.errors import InstrumentError
-from calrig.store import Status
+from calrig.model.run import Status
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from calrig.analysis.stored_runs import AmbiguousRuns, found_in, poses_together,
 from calrig.calibration.diagnosis import Findings, FollowUp, SequentialTest, design, trace
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.progress import Progress, unheard, within
-from calrig.plan import Plan, PlannedPose
+from calrig.model.plan import Plan, PlannedPose
 from calrig.processes.pool import WorkError, run_in_subprocess
 from calrig.store import Run
 

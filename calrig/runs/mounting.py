@@ -10,8 +10,8 @@ import numpy as np
 from calrig.calibration.poses import Pose
 from calrig.estimation.angles import AXES, along_axis, elevation_deg, wrap_deg
 from calrig.instruments.types import FloatArray
-from calrig.plan import MountAxis
-from calrig.store.records import WaitingFor
+from calrig.model.plan import MountAxis
+from calrig.model.run import Mount as Asked
 
 MOST_OFF_DEG = 5.0
 """CONTRACT section 2. A hand clamps to a degree."""
@@ -72,9 +72,9 @@ class Mount:
         return -1 if self.axis.startswith("-") else 1
 
     @property
-    def asked(self) -> WaitingFor:
+    def asked(self) -> Asked:
         """As a run's progress says it."""
-        return {"mount_deg": self.deg, "mount_axis": self.axis}
+        return Asked(mount_deg=self.deg, mount_axis=self.axis)
 
     def felt_at(self, stage_deg: float) -> float:
         """The angle about its axis that a unit reads which is clamped so."""

@@ -47,7 +47,7 @@ from calrig.calibration.plan_design import (
 from calrig.calibration.poses import Filtering
 from calrig.estimation.angles import AXES
 from calrig.estimation.kalman import KalmanNoise
-from calrig.plan import Plan, Until
+from calrig.model.plan import Plan, Until
 from calrig.run_ids import short_name
 from calrig.runs.plan_estimates import RigTiming, rig_pace
 from calrig.runs.stopping_rule import reference_uncertainty
@@ -111,7 +111,7 @@ def _rang_s(store: Store, run: Run) -> float | None:
 
 def _gyro(rig: RigSettings, plan: Plan, run: Run) -> Gyro:
     """The rig's filter, and how wrong the gyro was in a run."""
-    scale = ((run.result or {}).get("gyro") or {}).get("scale")
+    scale = None if run.result is None else run.result.gyro.scale
     filtering = Filtering(KalmanNoise(**rig.filter.model_dump()), plan.rate_hz)
     return Gyro(filtering, GAIN_ERROR if scale is None else abs(1.0 - scale))
 
@@ -135,10 +135,10 @@ def precision_of(rig: RigSettings, unit: str, store: Store | None) -> Precision:
 def precision_shown(run: Run) -> Precision | None:
     """By a completed run; None where its dwells had no one length, or its poses are too few."""
     result, plan = run.result, run.plan or {}
-    if not result or plan.get("target_std_deg"):
+    if result is None or plan.get("target_std_deg"):
         return None
-    left = result["rms_with_effects_deg"] or result["rms_calibrated_deg"]
-    n, noise_deg = result["n_poses"], result["noise_deg"]
+    left = result.rms_with_effects_deg or result.rms_calibrated_deg
+    n, noise_deg = result.n_poses, result.noise_deg
     if left is None or noise_deg is None or n < FEWEST_POSES:
         return None
     freedom = n - 2
@@ -197,8 +197,7 @@ def _without_rates(runs: list[Run]) -> Run | None:
     """The last completed run on the rig, if its result knows of no gyro."""
     for run in runs:
         if run.status == "completed" and run.result is not None:
-            gyro = run.result.get("gyro") or {}
-            return run if None in gyro.get("bias_dps", [None]) else None
+            return run if None in run.result.gyro.bias_dps else None
     return None
 
 

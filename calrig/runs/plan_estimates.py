@@ -15,7 +15,7 @@ from statistics import fmean, median
 from calrig.analysis.errors import Invalid
 from calrig.calibration.poses import Pose
 from calrig.instruments.axis import travel_time_s
-from calrig.plan import Plan, PlanError, PlannedPose
+from calrig.model.plan import Plan, PlanError, PlannedPose
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 

@@ -18,14 +18,15 @@ import numpy as np
 from calrig.analysis.errors import NotTheSame
 from calrig.calibration.move_check import MoveCheck, MoveWatch, gyro_move_std_deg
 from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, MOUNT_DEG, Filtering, Pose
-from calrig.calibration.results import GyroFigures
+from calrig.calibration.results import UNKNOWN_GYRO
 from calrig.estimation.angles import AXES, along_axis
 from calrig.estimation.gyro import GyroBias, dwell_bias, felt_move_deg, gyro_scale, run_bias
 from calrig.estimation.kalman import KalmanNoise
 from calrig.estimation.reading import Reading, dwell_reading
 from calrig.instruments.errors import BoardError, StageError
 from calrig.instruments.types import FloatArray, Samples
-from calrig.plan import Plan, PlannedPose
+from calrig.model.plan import Plan, PlannedPose
+from calrig.model.result import Gyro
 from calrig.runs.acquisition import AcquisitionLoop, Phase, block_of
 from calrig.runs.assignment import Earlier
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
@@ -175,18 +176,18 @@ class OwnGyro:
         """The turns over the move into the last dwell about each axis, as a pose's covariates."""
         return {name: self.felt_deg(move, period_s, lasts_s, axis) for axis, name in enumerate(GYRO_MOVES)}
 
-    def figures(self, moves: list[tuple[float, float]]) -> GyroFigures:
+    def figures(self, moves: list[tuple[float, float]]) -> Gyro:
         """What dwells and moves say; `moves` pairs what the unit turned with what it felt, degrees."""
         if not self.biases:
-            return GyroFigures()
+            return UNKNOWN_GYRO
         bias = run_bias(self.biases)
         turned_deg, felt_deg = zip(*moves, strict=True) if moves else ((), ())
         scale = gyro_scale(turned_deg, felt_deg)
-        return GyroFigures(
-            bias.bias_dps,
-            bias.bias_std_dps,
-            None if scale is None else scale.scale,
-            None if scale is None else scale.scale_std,
+        return Gyro(
+            bias_dps=list(bias.bias_dps),
+            bias_std_dps=list(bias.bias_std_dps),
+            scale=None if scale is None else scale.scale,
+            scale_std=None if scale is None else scale.scale_std,
         )
 
 

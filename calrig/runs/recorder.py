@@ -25,9 +25,9 @@ from calrig.analysis.stored_runs import mount_columns
 from calrig.calibration.poses import GYRO_MEANS, Pose
 from calrig.calibration.results import raw_error_deg
 from calrig.instruments.clock import Clock
-from calrig.store import AT_REST, Announced, Progress, RunChanges, SampleBlock, Status, Store
+from calrig.model.run import AT_REST, TERMINAL, Mount, Progress, Status
+from calrig.store import Announced, RunChanges, SampleBlock, Store
 from calrig.store.issued import Draft
-from calrig.store.records import TERMINAL, WaitingFor
 
 
 class Bus:
@@ -196,7 +196,7 @@ class Recorder:
         self._planned_s: Sequence[float] = [1.0] * poses_total
         self._first_pose_began_s = self._now_s()
         self._paused_s = 0.0
-        self._waiting_for: WaitingFor | None = None
+        self._waiting_for: Mount | None = None
         self._clamped_at: Callable[[float, float], float] = lambda _stage_deg, reading_deg: reading_deg
         self._readings: list[tuple[str, dict[str, Any]]] = []
         self._last_reading_s = self._last_flush_s = -math.inf
@@ -215,11 +215,11 @@ class Recorder:
         if self._waiting_for is not None:
             self._waiting_for = None
             told["progress"] = self._progress()
-            events = [("progress", told["progress"])]
+            events = [("progress", told["progress"].model_dump())]
         self._store.update_run(self.run_id, events=events, draft=draft, **told)
         self._became(status, told)
 
-    def waits_for(self, asked: WaitingFor, clamped_at: Callable[[float, float], float]) -> None:
+    def waits_for(self, asked: Mount, clamped_at: Callable[[float, float], float]) -> None:
         """The run is paused until a person has done what is asked; any other state ends that.
 
         `clamped_at` tells, by stage and reading, at which angle the unit is clamped.
@@ -228,7 +228,7 @@ class Recorder:
         self.flush()
         self._waiting_for, self._clamped_at = asked, clamped_at
         told: RunChanges = {"status": "paused", "progress": self._progress()}
-        self._store.update_run(self.run_id, events=[("progress", told["progress"])], **told)
+        self._store.update_run(self.run_id, events=[("progress", told["progress"].model_dump())], **told)
         self._became("paused", told)
 
     def _became(self, status: Status, told: RunChanges) -> None:
@@ -274,7 +274,7 @@ class Recorder:
         self.flush()
         self._poses_total = self._poses_done
         progress = self._progress()
-        self._store.update_run(self.run_id, events=[("progress", progress)], progress=progress)
+        self._store.update_run(self.run_id, events=[("progress", progress.model_dump())], progress=progress)
         self._bus.wake(self.run_id)
 
     def pose(
@@ -293,7 +293,7 @@ class Recorder:
             **mount,
             "raw_error_deg": raw_error_deg(pose, sense),
         }
-        events: list[Announced] = [("pose", told), ("progress", progress), *also]
+        events: list[Announced] = [("pose", told), ("progress", progress.model_dump()), *also]
         self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
         self.meter.pose()
         self.meter.faults(faults)
@@ -302,15 +302,18 @@ class Recorder:
     def log(self, block: SampleBlock, done_s: float, left_s: float, faults: Mapping[str, int]) -> None:
         """Stores the next stretch of a static log, and announces how far it has come."""
         self.flush()
-        progress: Progress = {
-            "poses_done": 0,
-            "poses_total": 0,
-            "fraction": done_s / (done_s + left_s),
-            "remaining_s": round(left_s, 1),
-            "waiting_for": None,
-        }
+        progress = Progress(
+            poses_done=0,
+            poses_total=0,
+            fraction=done_s / (done_s + left_s),
+            remaining_s=round(left_s, 1),
+        )
         self._store.add_samples(
-            self.run_id, [block], [("progress", progress)], progress=progress, faults=dict(faults)
+            self.run_id,
+            [block],
+            [("progress", progress.model_dump())],
+            progress=progress,
+            faults=dict(faults),
         )
         self.meter.faults(faults)
         self._bus.wake(self.run_id)
@@ -349,10 +352,10 @@ class Recorder:
         if measured_s:
             pace = (self._now_s() - self._first_pose_began_s) / measured_s
             remaining_s = round(pace * sum(self._planned_s[self._poses_done : self._poses_total]), 1)
-        return {
-            "poses_done": self._poses_done,
-            "poses_total": self._poses_total,
-            "fraction": self._poses_done / self._poses_total,
-            "remaining_s": remaining_s,
-            "waiting_for": self._waiting_for,
-        }
+        return Progress(
+            poses_done=self._poses_done,
+            poses_total=self._poses_total,
+            fraction=self._poses_done / self._poses_total,
+            remaining_s=remaining_s,
+            waiting_for=self._waiting_for,
+        )

@@ -24,7 +24,7 @@ from calrig.calibration.poses import Pose
 from calrig.estimation.angles import wrap_deg
 from calrig.estimation.gyro import GyroBias, dwell_bias
 from calrig.estimation.reading import Reading
-from calrig.plan import Plan, PlanError
+from calrig.model.plan import Plan, PlanError
 from calrig.runs import assignment
 from calrig.runs.assignment import Earlier, RunAssignment
 from calrig.runs.follow_up import FollowUpRun
@@ -78,7 +78,7 @@ def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: fl
         verifies=assignment.verified(order) or _verified(store, run, plan, settings),
         earlier=_earlier(store, run, plan),
         interruption={
-            "after_poses": run.progress["poses_done"],
+            "after_poses": run.progress.poses_done,
             "reason": run.error,
             "resumed_at": datetime.now(UTC).isoformat(timespec="seconds"),
         },
@@ -211,7 +211,7 @@ def _earlier(store: Store, run: Run, plan: Plan) -> Earlier:
     return Earlier(
         poses=poses,
         biases=_biases(store, run, poses),
-        logged_s=plan.dwell_s * run.progress["fraction"] if plan.kind == "static" else 0.0,
+        logged_s=plan.dwell_s * run.progress.fraction if plan.kind == "static" else 0.0,
         clock_s=max(last_s, since_s, poses[-1].time_s or 0.0 if poses else 0.0) if begun else 0.0,
         faults={**run.faults, "interrupted": run.faults.get("interrupted", 0) + 1},
     )

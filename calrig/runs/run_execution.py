@@ -167,12 +167,12 @@ class RunExecution:
         if not poses or self._task.plan.mount_axis != "x":
             return
         if self._task.verifies is not None:
-            self.fields["result"] = self._task.verifies.result(poses, gyro).to_dict()
+            self.fields["result"] = self._task.verifies.result(poses, gyro)
             return
         accepted = self._store.effects_in_force(run.unit, run.rig)
         ending = REACHED if taking.is_enough else ending_of(run)
         result = fitted(poses, accepted, self._origin, gyro, ending)
-        self.fields["result"] = result.to_dict()
+        self.fields["result"] = result
         excluded = [one.index for one in stored if one.excluded is not None]
         now = replace(run, provenance=self._origin, faults=self.fields["faults"])
         self.draft = self._issuer.completing(now, Fitted(poses, result, accepted, excluded))

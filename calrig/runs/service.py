@@ -13,7 +13,7 @@ from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.imports import check_serial
 from calrig.analysis.revisions import Issuer, Releases
 from calrig.analysis.stored_runs import stored_run
-from calrig.plan import MountAxis, Plan
+from calrig.model.plan import MountAxis, Plan
 from calrig.runs.assignment import NewRun, rig_followed_up_on
 from calrig.runs.control import End
 from calrig.runs.crew import WorkerRegistry

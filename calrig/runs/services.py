@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from calrig.analysis.revisions import Issuer
-from calrig.plan import MountAxis, Plan
+from calrig.model.plan import MountAxis, Plan
 from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics

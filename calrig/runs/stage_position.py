@@ -136,7 +136,7 @@ class StagePosition:
         known = known_calibration(self._store, self._unit)
         if known is None or known.run.rig != self._rig.name or mount.axis != "x":
             return theta_deg
-        return float(known.result["bias_deg"] + known.result["scale"] * theta_deg)
+        return known.result.bias_deg + (known.result.scale or 1.0) * theta_deg
 
 
 def resumed_by(run_id: str) -> str:

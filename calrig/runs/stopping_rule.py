@@ -14,10 +14,11 @@ from calrig.analysis.errors import Invalid
 from calrig.analysis.results import fitted
 from calrig.calibration.plan_design import Goals, TypeB
 from calrig.calibration.poses import Pose
-from calrig.calibration.results import Result
+from calrig.calibration.results import FittedResult
 from calrig.calibration.separation import StageMap, map_reference, with_map
-from calrig.calibration.uncertainty import Ending, Reference, has_the_line, turned_both_ways
-from calrig.plan import Plan, PlannedPose, Until
+from calrig.calibration.uncertainty import Ending, has_the_line, turned_both_ways
+from calrig.model.plan import Plan, PlannedPose, Until
+from calrig.model.result import Reference
 from calrig.settings import RigSettings
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Document, map_of
@@ -52,7 +53,7 @@ class StoppingRule:
         return holds(self.until, fitted(poses, self.accepted, self.provenance, ending=REACHED))
 
 
-def holds(until: Until, result: Result) -> bool:
+def holds(until: Until, result: FittedResult) -> bool:
     """Whether a result states what is wanted; its expanded uncertainty is that of the unit's calibration."""
     expanded_deg = None if result.over_range is None else result.over_range.expanded_uncertainty_deg
     return goals_of(until).reached_by(expanded_deg, result.bias_std_deg, result.scale_std)

@@ -23,10 +23,11 @@ from urllib.parse import urlsplit
 from prometheus_client import Counter, Gauge
 
 import calrig
+from calrig.model.run import TERMINAL
 from calrig.runs.services import Service
 from calrig.settings import SettingsError, WebhookSettings
 from calrig.store import Run, StoreError
-from calrig.store.records import TERMINAL, Document
+from calrig.store.records import Document
 
 log = logging.getLogger(__name__)
 
@@ -230,6 +231,6 @@ def document(run: Run) -> Document:
         "error": run.error,
         "operator": run.operator,
         "verdict": None if verdict is None else {name: verdict.to_dict()[name] for name in VERDICT},
-        "result": None if result is None else {name: result.get(name) for name in RESULT},
+        "result": None if result is None else result.model_dump(mode="json", include=set(RESULT)),
         "finished_at": None if run.finished_at is None else run.finished_at.isoformat(),
     }

@@ -19,11 +19,12 @@ from calrig.instruments.cancellation import cancel_scope, deadline
 from calrig.instruments.clock import WALL
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import clock_of
+from calrig.model.run import Status
 from calrig.runs.assignment import OpenBoardHandover, RunAssignment
 from calrig.runs.control import Control, End, Ended, StopOutcome
 from calrig.runs.recorder import Bus, Recorder, ServiceMetrics
 from calrig.runs.run_execution import RunExecution
-from calrig.store import Run, RunChanges, Status, Store, StoreError, StoreUnavailableError
+from calrig.store import Run, RunChanges, Store, StoreError, StoreUnavailableError
 
 log = logging.getLogger(__name__)
 

@@ -13,27 +13,22 @@ if TYPE_CHECKING:
     from calrig.store.errors import NotFound, StoreDamagedError, StoreError, StoreUnavailableError
     from calrig.store.event_log import Announced
     from calrig.store.records import (
-        AT_REST,
         AcceptedEffect,
         ComparisonRow,
         Event,
-        Progress,
         RawSamples,
         Run,
         RunChanges,
         SampleBlock,
-        Status,
         StoredPose,
         StoredStagePosition,
         Unit,
-        Voided,
     )
     from calrig.store.rigs import CheckUnit
     from calrig.store.sqlite.backup import BackedUp, back_up
     from calrig.store.store import Store
 
 __all__ = [
-    "AT_REST",
     "AcceptedEffect",
     "Announced",
     "BackedUp",
@@ -41,12 +36,10 @@ __all__ = [
     "ComparisonRow",
     "Event",
     "NotFound",
-    "Progress",
     "RawSamples",
     "Run",
     "RunChanges",
     "SampleBlock",
-    "Status",
     "Store",
     "StoreDamagedError",
     "StoreError",
@@ -54,7 +47,6 @@ __all__ = [
     "StoredPose",
     "StoredStagePosition",
     "Unit",
-    "Voided",
     "back_up",
 ]
 

@@ -18,13 +18,14 @@ from typing import Any, Literal, NamedTuple
 from sqlalchemy import and_, delete, text, update
 from sqlmodel import Session, col, func, select
 
+from calrig.model.run import UNFINISHED
 from calrig.run_ids import new_run_id
 from calrig.store import event_log, trail
 from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
 from calrig.store.convert import run_of, run_row
 from calrig.store.database import Part
 from calrig.store.errors import Refused
-from calrig.store.records import UNFINISHED, Document, Run
+from calrig.store.records import Document, Run
 from calrig.store.runs import change, first_progress, new_row
 from calrig.store.tables import EventTable, RunTable
 from calrig.store.trail import Act

@@ -10,19 +10,24 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, cast, get_args
+from typing import Any, TypeVar, cast, get_args
 
 import numpy as np
+from pydantic import ValidationError
 from sqlalchemy.orm import object_session
 from sqlmodel import Session, select
 
 from calrig.calibration.poses import Filtering, Pose
-from calrig.calibration.uncertainty import Limit, limit_for
+from calrig.calibration.uncertainty import limit_for
+from calrig.model.base import Model
+from calrig.model.result import Result
+from calrig.model.run import Progress, Status, Voided
+from calrig.model.verdict import Limit
 from calrig.run_ids import is_run_id
 from calrig.store import checksums
 from calrig.store.errors import NotFound, Unreadable
 from calrig.store.limits import limits_of
-from calrig.store.records import Progress, RawSamples, Run, SampleBlock, Status, StoredPose, Voided
+from calrig.store.records import Document, RawSamples, Run, SampleBlock, StoredPose
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable, SampleBlockTable
 
 _NO_COLUMNS = {"filtering", "map_deg"}
@@ -33,6 +38,7 @@ FIGURES = tuple(name for name in CalibrationTable.model_fields if name not in {"
 _ARRAYS = ("time_s", "accel_g", "gyro_dps", "temperature_c")
 _ANGLE = "angle_deg"
 """Packed only where the board sends it."""
+M = TypeVar("M", bound=Model)
 LARGEST_BLOCK = 500_000_000
 """Bytes of it unpacked: a quarter of an hour at 8 kHz."""
 
@@ -85,15 +91,15 @@ def run_of(row: RunTable) -> Run:
         raise Unreadable(f"run {row.uid} is not what was stored: there is no status {row.status[:40]!r}")
     voided: Voided | None = None
     if row.voided_reason is not None and row.voided_at is not None:
-        voided = {"reason": row.voided_reason, "at": row.voided_at}
+        voided = Voided(reason=row.voided_reason, at=row.voided_at)
     return Run(
         id=row.uid,
         unit=row.unit,
         rig=row.rig,
         status=cast(Status, row.status),
         plan=row.plan,
-        progress=cast(Progress, row.progress),
-        result=row.result,
+        progress=_read(Progress, row.progress),
+        result=None if row.result is None else _read(Result, row.result),
         diagnosis=row.diagnosis,
         faults=row.faults,
         follows=None if row.follows is None else _followed_by(row),
@@ -107,6 +113,14 @@ def run_of(row: RunTable) -> Run:
         error=row.error,
         limit=None if row.result is None else _limit_of(row),
     )
+
+
+def _read(kind: type[M], document: Document) -> M:
+    """Read a document of a run; one that lacks what every run of calrig has is taken as it stands."""
+    try:
+        return kind.model_validate(document)
+    except ValidationError:
+        return cast(M, kind.model_construct(**document))
 
 
 def _followed_by(row: RunTable) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from sqlmodel import Session, col, delete, select
 
-from calrig.calibration.uncertainty import Limit
+from calrig.model.verdict import Limit
 from calrig.store.database import Part
 from calrig.store.tables import LimitTable
 from calrig.store.trail import Act, append

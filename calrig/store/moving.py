@@ -17,13 +17,13 @@ from sqlalchemy.engine.interfaces import Dialect
 from sqlmodel import Session
 
 from calrig.canonical_json import sha256_of
+from calrig.model.run import UNFINISHED
 from calrig.store import checksums
 from calrig.store.convert import FIGURES, POSE_NUMBERS, unpacked_block
 from calrig.store.database import BUSY_TIMEOUT_S, Database
 from calrig.store.engines import is_centre, open_database
 from calrig.store.errors import Refused, StoreDamagedError, Unreadable
 from calrig.store.raw_rows import Row, TableHash, count, pieces, row_name, tables
-from calrig.store.records import UNFINISHED
 from calrig.store.tables import UtcText
 from calrig.store.trail import FIRST, chained
 

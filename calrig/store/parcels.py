@@ -22,10 +22,11 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 from sqlmodel import Session, col, func, or_, select
 
 from calrig.calibration.poses import Pose
+from calrig.model.run import TERMINAL, Status
 from calrig.store.bench_tables import DeliveryTable, TakenOrderTable
 from calrig.store.convert import iso_utc, pose_of, run_of, run_row
 from calrig.store.database import Part
-from calrig.store.records import TERMINAL, Document, Status
+from calrig.store.records import Document
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
@@ -269,6 +270,7 @@ class _Wrapping:
         """What the store says of the run."""
         run = run_of(self._run)
         said = {name: getattr(run, name) for name in RUN_FIELDS}
+        said |= {"progress": self._run.progress, "result": self._run.result}
         if run.follows is not None or "follow_up" in run.provenance:
             said["diagnosis"] = run.diagnosis  # of a follow-up, which diagnoses itself
         for name in ("created_at", "started_at", "finished_at"):

@@ -16,6 +16,7 @@ from sqlmodel.sql.expression import SelectOfScalar
 
 from calrig.calibration.poses import Filtering, Pose
 from calrig.calibration.separation import StageMap, with_map
+from calrig.model.run import UNFINISHED
 from calrig.store.convert import (
     joined_arrays,
     labelled_block,
@@ -28,15 +29,7 @@ from calrig.store.convert import (
 from calrig.store.database import Part
 from calrig.store.errors import NotFound, Unreadable
 from calrig.store.event_log import Announced
-from calrig.store.records import (
-    UNFINISHED,
-    RawSamples,
-    RunChanges,
-    SampleBlock,
-    StoredPose,
-    filtering_of,
-    map_of,
-)
+from calrig.store.records import RawSamples, RunChanges, SampleBlock, StoredPose, filtering_of, map_of
 from calrig.store.runs import POSES_AT_ONCE, change
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 

@@ -5,58 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Literal, NamedTuple, NotRequired, TypedDict
+from typing import Any, Literal, NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.poses import Filtering, Pose
 from calrig.calibration.separation import StageMap
-from calrig.calibration.uncertainty import Limit, Reference
-from calrig.calibration.verdict import Verdict, verdict
+from calrig.calibration.verdict import verdict
 from calrig.estimation.kalman import KalmanNoise
+from calrig.model.result import Reference, Result
+from calrig.model.run import Progress, Status, Suspect, Voided
+from calrig.model.verdict import Limit, Verdict
 
 FloatArray = npt.NDArray[np.float64]
 Document = dict[str, Any]
 """A JSON object."""
-
-Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
-
-UNFINISHED: tuple[Status, ...] = ("queued", "running", "paused")
-"""Some thread of a living program carries the run out."""
-
-TERMINAL: tuple[Status, ...] = ("completed", "failed", "aborted")
-"""Nothing more happens to the run; its finished_at is set."""
-
-AT_REST: tuple[Status, ...] = (*TERMINAL, "interrupted")
-"""Nobody carries the run out: it has ended for good, or was interrupted and can be resumed."""
-
-
-class WaitingFor(TypedDict):
-    """How the unit is to be clamped before a run goes on: the angle, and which axis along the stage's."""
-
-    mount_deg: float
-    mount_axis: str
-
-
-class Progress(TypedDict):
-    """How far a run is; `remaining_s` is null where it is not known.
-
-    `waiting_for` is there while the run waits for a person; older runs have none.
-    """
-
-    poses_done: int
-    poses_total: int
-    fraction: float
-    remaining_s: float | None
-    waiting_for: NotRequired[WaitingFor | None]
-
-
-class Voided(TypedDict):
-    """Why and when a run was voided."""
-
-    reason: str
-    at: datetime
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +36,7 @@ class Run:
     status: Status
     plan: Document | None
     progress: Progress
-    result: Document | None
+    result: Result | None
     diagnosis: Document | None
     faults: dict[str, int]
     follows: str | None
@@ -84,8 +48,8 @@ class Run:
     started_at: datetime | None
     finished_at: datetime | None
     error: str | None
-    suspect: Document | None = None
-    """Why its rig is in doubt, where somebody looked: `reason`, `check_run_id`. The store never knows."""
+    suspect: Suspect | None = None
+    """Why its rig is in doubt, where somebody looked. The store never knows."""
     limit: Limit | None = None
 
     @property
@@ -165,7 +129,7 @@ class RunChanges(TypedDict, total=False):
     status: Status
     error: str | None
     progress: Progress
-    result: Document | None
+    result: Result | None
     diagnosis: Document | None
     faults: dict[str, int]
     provenance: Document

@@ -18,9 +18,10 @@ import sqlalchemy
 from sqlalchemy import ColumnElement, Row
 from sqlmodel import Session, and_, col, func, or_, select
 
+from calrig.model.run import UNFINISHED
 from calrig.store.database import Part
 from calrig.store.errors import NotFound
-from calrig.store.records import UNFINISHED, Document, StoredStagePosition
+from calrig.store.records import Document, StoredStagePosition
 from calrig.store.tables import (
     CalibrationTable,
     CheckUnitTable,

@@ -15,13 +15,15 @@ from sqlalchemy import ColumnElement
 from sqlmodel import Session, and_, col, func, or_, select, tuple_
 
 from calrig.calibration.poses import Pose
+from calrig.model.result import Result
+from calrig.model.run import TERMINAL, UNFINISHED, Progress, Status
 from calrig.run_ids import is_uuid, new_run_id
 from calrig.store import event_log, issued, staging, trail
 from calrig.store.convert import figures_of, find_run, run_of, run_row
 from calrig.store.database import Part
 from calrig.store.errors import Refused
 from calrig.store.event_log import Announced
-from calrig.store.records import TERMINAL, UNFINISHED, Document, Run, RunChanges, Status
+from calrig.store.records import Document, Run, RunChanges
 from calrig.store.tables import CalibrationTable, RunTable, UnitTable
 from calrig.store.trail import Act, What
 
@@ -236,7 +238,7 @@ class Runs(Part):
                 issued.issue(session, row, draft)
             return run_of(row)
 
-    def set_result(self, run_id: str, result: Document | None) -> Run:
+    def set_result(self, run_id: str, result: Result | None) -> Run:
         """Replaces a run's result, and with it what comparisons show."""
         return self.update_run(run_id, result=result)
 
@@ -324,7 +326,9 @@ def change(session: Session, row: RunTable, events: Sequence[Announced], changes
     if unknown:
         raise TypeError(f"a run has no {', '.join(sorted(unknown))} to change")
     for name, value in changes.items():
-        if name != "result":
+        if name == "progress":
+            row.progress = Progress.model_validate(value).model_dump()
+        elif name != "result":
             setattr(row, name, value)
     if "result" in changes:
         replace_result(session, row, changes["result"])
@@ -335,9 +339,9 @@ def change(session: Session, row: RunTable, events: Sequence[Announced], changes
     return event_log.append(session, row, [*events, *state])
 
 
-def replace_result(session: Session, row: RunTable, result: Document | None) -> None:
+def replace_result(session: Session, row: RunTable, given: Result | Document | None) -> None:
     """Gives a run its result and the figures that stand for it in comparisons, likewise."""
-    row.result = result
+    result = row.result = given.to_dict() if isinstance(given, Result) else given
     figures = session.get(CalibrationTable, row.id)
     if figures is not None:
         session.delete(figures)

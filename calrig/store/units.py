@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy
 from sqlmodel import Session, col, delete, func, or_, select
 
-from calrig.plan import CALIBRATING
+from calrig.model.plan import CALIBRATING
 from calrig.store.checksums import check_numbers
 from calrig.store.convert import FIGURES, result_part, run_of
 from calrig.store.database import Part

@@ -18,6 +18,7 @@ from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlmodel import Session, col, func, insert, select
 from sqlmodel.sql.expression import Select
 
+from calrig.model.run import TERMINAL, Status
 from calrig.run_ids import is_uuid
 from calrig.store import issued, trail
 from calrig.store.bench_tables import BenchTable, DeliveryTable, ParcelTable, RunOrderTable
@@ -26,7 +27,7 @@ from calrig.store.database import Part
 from calrig.store.errors import Unreadable
 from calrig.store.parcels import DeliveredEvent, DeliveredPose, DeliveredSamples, ParcelDocument
 from calrig.store.poses import map_in_use, put_upon
-from calrig.store.records import TERMINAL, Document, Run, Status, StoredPose, filtering_of
+from calrig.store.records import Document, Run, StoredPose, filtering_of
 from calrig.store.runs import first_progress, new_row, replace_result
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 from calrig.store.trail import Act

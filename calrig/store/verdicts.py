@@ -18,8 +18,10 @@ import sqlalchemy
 from sqlalchemy import Connection, event
 from sqlmodel import Session, col, select
 
-from calrig.calibration.uncertainty import Limit, limit_for
-from calrig.calibration.verdict import Left, VerdictFigures, verdict_figures
+from calrig.calibration.uncertainty import limit_for
+from calrig.calibration.verdict import VerdictFigures, verdict_figures
+from calrig.model.result import Result
+from calrig.model.verdict import Left, Limit
 from calrig.program_text import sha256_of_program
 from calrig.store.convert import run_of
 from calrig.store.database import Part
@@ -49,7 +51,7 @@ WRITTEN_AT_ONCE = 20
 """Runs in one transaction: others wait for their turn to write meanwhile."""
 _FOLLOWED = ("result", "diagnosis", "faults", "plan")
 """Columns that a verdict follows from; serial number, rig and limits are looked at when it is sought."""
-PROGRAM = sha256_of_program("calibration", "estimation", "store/records.py", "store/verdicts.py")
+PROGRAM = sha256_of_program("calibration", "estimation", "model", "store/records.py", "store/verdicts.py")
 """What decides what a verdict follows from and what is kept of it; read now, while it is what runs."""
 _KEPT = sqlalchemy.inspect(VerdictFiguresTable).local_table
 _FIGURES = tuple(one.name for one in fields(VerdictFigures))
@@ -158,7 +160,11 @@ def _keep(connection: Connection, run: RunTable) -> None:
     if run.result is None:
         return
     try:
-        found = asdict(verdict_figures(run.result, run.diagnosis, **how_judged(run.plan, run.faults)))
+        found = asdict(
+            verdict_figures(
+                Result.model_validate(run.result), run.diagnosis, **how_judged(run.plan, run.faults)
+            )
+        )
         is_sound = all(math.isfinite(value) for value in found.values() if isinstance(value, float))
     except (KeyError, TypeError, ValueError, ArithmeticError):  # of somebody else's making
         found, is_sound = {}, False

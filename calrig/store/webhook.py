@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 
 from sqlmodel import col, func, select, update
 
+from calrig.model.run import TERMINAL
 from calrig.store.database import Part
-from calrig.store.records import TERMINAL
 from calrig.store.tables import RunTable, WebhookDeliveryTable
 
 LONGEST_RUN = timedelta(days=30)

@@ -27,7 +27,7 @@ def test_an_ordered_run_is_carried_out_once_and_delivered_in_order(
         assert told.states == ["queued", "running", "completed"]
         assert told.poses == list(range(6))
         assert told.n_samples == len(store.samples(run_id))
-        assert told.documents[-1]["run"]["result"]["bias_deg"] == pytest.approx(run.result["bias_deg"])
+        assert told.documents[-1]["run"]["result"]["bias_deg"] == pytest.approx(run.result.bias_deg)
         assert store.revisions("AS-1") == []  # which only the centre makes
         wait_for(lambda: store.undelivered() == [], "note that all is delivered")
         assert (store.outbox().n_parcels, centre.jobs_left()) == (0, 0)

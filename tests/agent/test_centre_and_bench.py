@@ -59,7 +59,7 @@ def test_a_run_of_the_centre_is_watched_ends_and_gives_a_revision(
     assert numbers == list(range(1, len(numbers) + 1))
     assert kinds.count("pose") == 6
     assert (run["status"], run["unit"], run["rig"]) == ("completed", "AS-1", "bench-1")
-    assert run["result"]["bias_deg"] == pytest.approx(at_bench.result["bias_deg"], abs=1e-12)
+    assert run["result"]["bias_deg"] == pytest.approx(at_bench.result.bias_deg, abs=1e-12)
     assert len(page.get(f"/api/runs/{run_id}/poses").json()) == 6
     kept = np.load(io.BytesIO(page.get(f"/api/runs/{run_id}/samples?format=npz").content))
     assert np.array_equal(kept["gyro_x_dps"], samples.gyro_dps[:, 0])

@@ -36,7 +36,7 @@ def test_a_verification_applies_the_same_line_effects_and_reference() -> None:
         run_id="17",
         line=Line(0.8, 1.01, 0.001, 2e-5, ((1e-6, 0.0), (0.0, 4e-10)), None),
         effects=[("misalignment", {"tilt_deg": 0.1}), ("backlash", {"play_deg": 0.03})],
-        reference=ReferenceFigures(0.29, "harmonic", 0.1, None),
+        reference=ReferenceFigures(std_deg=0.29, kind="harmonic", bias_std_deg=0.1, scale_std=None),
         of_rig=[("backlash", {"backlash_deg": 0.1})],
     )
     run = ordered(Plan.model_validate({**QUICK, "kind": "verification"}), verifies=verifies)

@@ -40,7 +40,7 @@ def new_run(store: Store) -> Callable[..., Run]:
 def figures(run: Run) -> dict[str, Any]:
     """A run's result without what is said of its latest draft."""
     assert run.result is not None
-    return {name: value for name, value in run.result.items() if name != "doubts"}
+    return run.result.model_dump(exclude={"doubts"})
 
 
 def told(store: Store, **asked: Any) -> list[tuple[Any, ...]]:
@@ -145,7 +145,7 @@ class TestMoved:
         with_effects = figures(Acceptance(store).accept(right.id, [OFFSET]))
         run = new_run()
         assert run.result is not None
-        assert run.result["rms_with_effects_deg"] is None
+        assert run.result.rms_with_effects_deg is None
         assert figures(records.move(run.id, "RIGHT", "misread")) == with_effects
 
     def test_follow_ups_move_along(self, new_run: Callable[..., Run], records: Records, store: Store) -> None:

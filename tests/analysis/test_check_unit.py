@@ -54,8 +54,8 @@ def test_the_runs_since_it_last_passed_are_in_doubt_from_the_moment_it_fails(sto
     assert found["suspect_runs"] == [during.id, failure.id, after.id]
     doubted = [run.suspect for run in with_doubts(store, [before, during, elsewhere, after])]
     assert [one is not None for one in doubted] == [False, True, False, True]
-    assert f"failed on rig bench-1 in run {failure.id}" in doubted[1]["reason"]
-    assert "2025-01-07" in doubted[1]["reason"], "the day it last passed"
+    assert f"failed on rig bench-1 in run {failure.id}" in doubted[1].reason
+    assert "2025-01-07" in doubted[1].reason, "the day it last passed"
     ran(store, "CHECK", 9, 0.8)
     later = ran(store, "B", 9.5)
     found = check_document(store, "bench-1", now=at(10))

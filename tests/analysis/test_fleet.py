@@ -112,7 +112,7 @@ def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store, pr
 
     def left_at(run, theta_deg, approach):
         poses = [one.pose for one in store.poses(run.id)]
-        left = residuals(poses, run.result["bias_deg"], run.result["scale"])
+        left = residuals(poses, run.result.bias_deg, run.result.scale)
         here = [(pose.theta_deg, pose.approach) == (theta_deg, approach) for pose in poses]
         return np.mean(np.array(left)[here])
 

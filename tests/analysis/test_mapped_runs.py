@@ -43,9 +43,9 @@ def counted(store: Store, run: Run) -> list[Pose]:
 def test_a_run_rests_on_its_own_map_when_none_is_in_force_any_more(store, run):
     store.withdraw_stage_map("bench-1", "the gear was changed")
     result = refitted(store, run, counted(store, run))
-    assert result["scale"] == pytest.approx(1.0, abs=1e-9)
-    assert result["rms_calibrated_deg"] < 1e-9 < 0.01 < result["rms_raw_deg"]
-    assert result["reference"]["kind"] == "map"
+    assert result.scale == pytest.approx(1.0, abs=1e-9)
+    assert result.rms_calibrated_deg < 1e-9 < 0.01 < result.rms_raw_deg
+    assert result.reference.kind == "map"
     (batch,) = store.pose_batches(run.id)
     assert [one.pose.map_deg for one in batch] == [pose.map_deg for pose in counted(store, run)]
 
@@ -60,12 +60,12 @@ def test_what_was_accepted_of_the_stage_is_in_its_map_already(store, run):
 def test_a_pose_beyond_the_map_leaves_the_run_to_the_certificate_until_it_is_excluded(store, run):
     far = laid(store, [*counted(store, run), Pose(80.0, 80.0)], run.provenance)
     result = refitted(store, far, counted(store, far))
-    assert (result["reference"]["kind"], result["reference"]["std_deg"]) == ("harmonic", 0.29)
-    assert "1 pose stands at dial angles of 80° to 80°" in result["reference_says"]
+    assert (result.reference.kind, result.reference.std_deg) == ("harmonic", 0.29)
+    assert "1 pose stands at dial angles of 80° to 80°" in result.reference_says
     store.exclude_pose(far.id, 14, "beyond the map", result=None)
     again = refitted(store, far, counted(store, far))
-    assert again["reference"]["kind"] == "map"
-    assert "reference_says" not in again
+    assert again.reference.kind == "map"
+    assert again.reference_says is None
 
 
 def test_a_certificate_states_the_map_with_what_it_rests_on(store, run):

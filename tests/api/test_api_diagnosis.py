@@ -102,7 +102,7 @@ def test_runs_stored_before_this_was_kept_say_null(bench, traced):
     del document["grade"], document["says"], effect["accepted_at"], effect["least_p_value"]
     for candidate in effect["considered"]:
         del candidate["why"]
-    result = dict(service.store.run(run_id).result)
+    result = service.store.run(run_id).result.to_dict()
     del result["reference"]
     service.store.update_run(run_id, diagnosis=document, result=result)
 

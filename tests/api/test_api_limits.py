@@ -68,7 +68,8 @@ def test_an_import_without_a_reference_never_passes(client):
         ({**ALL, "rms_deg": "small"}, "RMS error of limit 1 is not a number"),
         ({**ALL, "rms_deg": -1}, "RMS error of limit 1 must be greater than 0"),
         ({**ALL, "name": ""}, "Name of limit 1 is empty"),
-        ({**ALL, "rule": "strict"}, "Rule of limit 1"),
+        ({**ALL, "rule": "strict"}, "Decision rule of limit 1"),
+        ({**ALL, "expanded_uncertainty_deg": -1}, "Expanded uncertainty of limit 1 must be"),
         ({**ALL, "speed": 1}, "speed"),
     ],
 )

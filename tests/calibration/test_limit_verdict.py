@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -30,7 +32,7 @@ def poses(n=52, scale=1.002, bias_deg=0.8, bent_deg=0.0, seed=0):
 
 
 def judged(reference=STAGE, calibration=None, move_mismatches=0, *, of=None, **asked):
-    result = build_result(of or poses(), None, (), reference).to_dict()
+    result = build_result(of or poses(), None, (), reference)
     limit = Limit("flight", **asked)
     return verdict(result, limit=limit, calibration=calibration, move_mismatches=move_mismatches)
 
@@ -123,8 +125,7 @@ def test_what_fails_fails_however_doubtful_it_is():
 
 
 def test_a_result_of_an_earlier_version_is_not_decided():
-    result = build_result(poses(), None, (), STAGE).to_dict()
-    del result["over_range"]
+    result = build_result(poses(), None, (), STAGE).model_copy(update={"over_range": None})
     one = verdict(result, limit=Limit("flight", max_error_deg=1.0))
     assert (one.answer, one.says[0]) == (
         "undecided",
@@ -145,9 +146,15 @@ def verified(at_deg, elevations_deg=(20.0,) * 6, stated=STAGE):
         Pose(target_deg=t, stage_deg=s, reading_deg=s + at_deg, reading_stderr_deg=NOISE_DEG)
         for t, s in zip(elevations_deg, there, strict=True)
     ]
-    figures = ReferenceFigures(stated.std_deg, stated.kind, stated.std_deg, 0.001, stated.distribution)
+    figures = ReferenceFigures(
+        std_deg=stated.std_deg,
+        kind=stated.kind,
+        bias_std_deg=stated.std_deg,
+        scale_std=0.001,
+        distribution=stated.distribution,
+    )
     line = Line(0.0, 1.0, 0.001, 1e-5, None, None)
-    return apply_calibration(of, None, line, (), figures).to_dict()
+    return apply_calibration(of, None, line, (), figures)
 
 
 def test_a_verification_is_held_as_found_against_the_document():
@@ -157,7 +164,9 @@ def test_a_verification_is_held_as_found_against_the_document():
     shifted = verdict(verified(0.3, everywhere), verification=True, limit=limit)
     assert (shifted.answer, shifted.left) == ("pass", "more_than_noise")
     fanned = verified(0.0, everywhere)
-    fanned["over_range"]["highest_error_deg"][-1] = 0.2
+    *rest, _ = fanned.over_range.highest_error_deg
+    over = replace(fanned.over_range, highest_error_deg=(*rest, 0.2))
+    fanned = fanned.model_copy(update={"over_range": over})
     assert verdict(fanned, verification=True, limit=limit).answer == "fail"
 
 
@@ -196,7 +205,7 @@ ASKED = {
     "rule": st.sampled_from(["simple", "guarded"]),
     "guard": st.floats(min_value=0.0, exclude_min=True, max_value=10.0),
 }
-RESULTS = [build_result(poses(), None, (), reference).to_dict() for reference in (STAGE, None)]
+RESULTS = [build_result(poses(), None, (), reference) for reference in (STAGE, None)]
 
 
 @settings(max_examples=60)

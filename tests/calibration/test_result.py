@@ -13,8 +13,9 @@ from support import DATA
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.pose_errors import residuals
-from calrig.calibration.results.result import RELATIVE, GyroFigures, apply_calibration, build_result
+from calrig.calibration.results.result import RELATIVE, apply_calibration, build_result
 from calrig.calibration.uncertainty.budget import Reference
+from calrig.model.result import Gyro
 
 
 def test_a_runs_result_has_the_contracts_keys_and_is_json():
@@ -33,7 +34,8 @@ def test_a_runs_result_has_the_contracts_keys_and_is_json():
         )
     ]
 
-    document = build_result(poses, GyroFigures((1.0, 2.0, None), (0.1, 0.1, None), 1.02, 0.001)).to_dict()
+    gyro = Gyro(bias_dps=[1.0, 2.0, None], bias_std_dps=[0.1, 0.1, None], scale=1.02, scale_std=0.001)
+    document = build_result(poses, gyro).to_dict()
 
     assert list(document) == [
         "bias_deg",

@@ -26,7 +26,7 @@ def poses(n, *, seed=0, backlash_deg=0.0, scale=1.002, stderr_deg=NOISE_DEG):
 
 
 def result(n, effects=(), reference=None, **options):
-    return build_result(poses(n, **options), None, effects, reference).to_dict()
+    return build_result(poses(n, **options), None, effects, reference)
 
 
 def found(name, kind, *, accepted_at=None, rivals=()):
@@ -49,11 +49,13 @@ def test_noise_alone_is_called_more_than_noise_in_one_run_of_a_hundred(n):
 
 
 def test_the_same_ratio_is_noise_of_few_poses_and_more_than_noise_of_many():
-    few, many = (result(n) for n in (26, 520))
-    for one in (few, many):
+    def with_ratio(n):
+        one = result(n)
         left = verdict(one)
         assert left.left == "noise"
-        one["rms_calibrated_deg"] *= 1.2 / left.ratio
+        return one.model_copy(update={"rms_calibrated_deg": one.rms_calibrated_deg * 1.2 / left.ratio})
+
+    few, many = with_ratio(26), with_ratio(520)
     assert (verdict(few).left, verdict(many).left) == ("noise", "more_than_noise")
     assert verdict(few).ratio == pytest.approx(verdict(many).ratio)
 
@@ -131,7 +133,7 @@ def test_it_says_whether_the_scale_differs_from_one(scale, reference, sentence):
 
 
 def test_poses_of_one_elevation_have_no_scale():
-    one = build_result([Pose(target_deg=0.0, reading_deg=0.1 * k) for k in range(4)]).to_dict()
+    one = build_result([Pose(target_deg=0.0, reading_deg=0.1 * k) for k in range(4)])
     judged = verdict(one)
     assert "All poses stand at one elevation: the scale is not known and counts as 1." in judged.says
     assert "It rests on only 4 poses." in judged.says

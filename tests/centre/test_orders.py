@@ -16,7 +16,7 @@ def test_a_run_its_order_and_its_job_are_made_together(centre: CentreService, be
     run = centre.start(unit="A", plan=plan, operator="Ada", note="warm", stage_at_deg=3.0)
 
     assert (run.status, run.rig, run.operator, run.note) == ("queued", "bench-1", "Ada", "warm")
-    assert run.progress["poses_total"] == 6
+    assert run.progress.poses_total == 6
     order = bench.order(run.id)
     assert (order.bench, order.rig, order.epoch, order.taken_epoch, order.wish) == (
         "hall-2",

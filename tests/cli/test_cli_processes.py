@@ -153,7 +153,7 @@ def test_sigterm_ends_a_service_in_order_with_a_run_and_a_browser_on_it(bench, m
     with Store.open(f"sqlite:///{bench / 'calrig.db'}", writer=None) as store:
         run = store.run(run_id)
     assert run.status == "interrupted"
-    assert run.progress["poses_done"] >= 1
+    assert run.progress.poses_done >= 1
 
 
 def test_a_service_that_was_killed_leaves_no_device_behind_and_a_run_that_says_so(bench):

@@ -19,6 +19,7 @@ from calrig.export.calibration_document import calibration_content
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.making import Sources, certificate_of
 from calrig.laboratory import LaboratorySettings
+from calrig.model.run import Progress
 from calrig.plan import Plan
 from calrig.store import Run, StoredPose
 from calrig.store.issued import Revision
@@ -186,7 +187,7 @@ def _run(rng: random.Random, revision: Revision, provenance: dict[str, Any]) -> 
         rig="r",
         status="completed",
         plan=plan,
-        progress={"poses_done": 3, "poses_total": 3, "fraction": 1.0, "remaining_s": 0.0},
+        progress=Progress(poses_done=3, poses_total=3, fraction=1.0, remaining_s=0.0),
         result=None,
         diagnosis=None,
         faults=rng.choice([{}, {"crc": 3}]),

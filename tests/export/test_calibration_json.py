@@ -12,9 +12,9 @@ import pytest
 
 from calrig.analysis.results import fitted
 from calrig.calibration.poses import Pose
-from calrig.calibration.results.result import GyroFigures
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.export.calibration_document import calibration_content
+from calrig.model.result import Gyro
 from calrig.store import AcceptedEffect
 
 RESIDUALS_DEG = (0.01, -0.02, 0.0, 0.02, -0.01)
@@ -22,7 +22,7 @@ POSES = [
     Pose(target, 0.25 + 1.002 * target + residual)
     for target, residual in zip((-60.0, -30.0, 0.0, 30.0, 60.0), RESIDUALS_DEG, strict=True)
 ]
-GYRO = GyroFigures((0.1, -0.2, 0.3), (0.01, 0.01, 0.01), 1.001, 0.0002)
+GYRO = Gyro(bias_dps=[0.1, -0.2, 0.3], bias_std_dps=[0.01] * 3, scale=1.001, scale_std=0.0002)
 
 
 def content(

@@ -107,10 +107,10 @@ def test_the_risk_that_a_pass_is_wrong_is_what_many_such_measurements_would_have
     u_deg, allowed_deg, n, freedom = 0.05, 0.13, 100_000, 24
     reference = Reference(u_deg, "harmonic", "normal")
     poses, document = calibrated(reference)
-    result = build_result(poses, reference=reference).to_dict()
+    result = build_result(poses, reference=reference)
     said = verdict(result, limit=Limit("", max_error_deg=allowed_deg), calibration=document)
 
-    over, rng = result["over_range"], np.random.default_rng(1)
+    over, rng = result.to_dict()["over_range"], np.random.default_rng(1)
     theta = np.array(over["elevation_deg"])
     line = rng.multivariate_normal([0.0, 0.0], document["covariance"], n)
     line *= np.sqrt(freedom / rng.chisquare(freedom, n))[:, None]

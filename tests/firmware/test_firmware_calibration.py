@@ -55,8 +55,8 @@ def test_a_unit_is_calibrated_through_the_firmware_on_the_simulated_stage(built,
         with running_service(tmp_path / "calrig.db", rig) as service:
             ended = service.wait(service.start(unit="AS-1", plan=plan).id, 60.0)
     assert ended.status == "completed", ended.error
-    assert ended.result["bias_deg"] == pytest.approx(offset_deg, abs=0.05)
-    assert ended.result["scale"] == pytest.approx(1.0, abs=0.002)
-    assert ended.result["gyro"]["scale"] == pytest.approx(1.0, abs=0.01)
-    assert ended.result["gyro"]["bias_dps"][0] == pytest.approx(1.4, abs=0.05)
+    assert ended.result.bias_deg == pytest.approx(offset_deg, abs=0.05)
+    assert ended.result.scale == pytest.approx(1.0, abs=0.002)
+    assert ended.result.gyro.scale == pytest.approx(1.0, abs=0.01)
+    assert ended.result.gyro.bias_dps[0] == pytest.approx(1.4, abs=0.05)
     assert ended.faults == {}

@@ -311,11 +311,11 @@ def test_a_run_with_a_fault_in_each_dwell_measures_what_is_true(start_twin, tmp_
         with running_service(tmp_path / "calrig.db", rig) as service:
             run = service.wait(service.start(unit="AS-1", plan=plan).id, 60.0)
     assert run.status == "completed", run.error
-    assert run.result["n_poses"] == 3
-    assert run.result["bias_deg"] == pytest.approx(mount_deg, abs=0.02)
-    assert run.result["scale"] == pytest.approx(1.0, abs=0.001)
-    assert run.result["rms_calibrated_deg"] < 0.02, "no pose holds a wrong sample"
-    assert run.result["gyro"]["bias_dps"][0] == pytest.approx(GYRO_BIAS_DPS, abs=0.01)
-    assert run.result["gyro"]["scale"] == pytest.approx(1.0, abs=0.002)
+    assert run.result.n_poses == 3
+    assert run.result.bias_deg == pytest.approx(mount_deg, abs=0.02)
+    assert run.result.scale == pytest.approx(1.0, abs=0.001)
+    assert run.result.rms_calibrated_deg < 0.02, "no pose holds a wrong sample"
+    assert run.result.gyro.bias_dps[0] == pytest.approx(GYRO_BIAS_DPS, abs=0.01)
+    assert run.result.gyro.scale == pytest.approx(1.0, abs=0.002)
     assert run.faults["board_reset"] == 1
     assert {"retried_pose", "sequence_gap", "crc", "unparsed"} <= run.faults.keys()

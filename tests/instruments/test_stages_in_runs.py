@@ -35,9 +35,9 @@ def test_it_calibrates_a_unit(driver, store_path):
         assert rig.stage.port.startswith("/dev/")
         run = service.wait(service.start(unit="AS-1", plan=Plan.model_validate(QUICK)).id, PATIENCE_S)
         assert run.status == "completed", run.error
-        assert run.result["n_poses"] == 6
-        assert run.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.1)
-        assert run.result["scale"] == pytest.approx(1.0, abs=0.005)
+        assert run.result.n_poses == 6
+        assert run.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.1)
+        assert run.result.scale == pytest.approx(1.0, abs=0.005)
         assert run.provenance["stage"]["driver"] == driver
 
 
@@ -92,4 +92,4 @@ def test_a_stepper_that_runs_into_its_limit_switch_fails_the_run_with_its_alarm_
     assert ended.error.count("ALARM:1, a limit switch was hit") == 1
     assert "motor power" not in ended.error, "it has stopped by itself, and said so"
     assert (again.status, again.error) == ("completed", None)
-    assert again.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.1)
+    assert again.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.1)

@@ -125,7 +125,7 @@ def homing(bench: TruthRig, service: RunService, run: Run) -> None:
 
 def dwelling(bench: TruthRig, service: RunService, run: Run) -> None:
     """Until the second dwell has begun."""
-    until(lambda: service.run(run.id).progress["poses_done"] >= 1, "first pose", 30)
+    until(lambda: service.run(run.id).progress.poses_done >= 1, "first pose", 30)
     until(lambda: not bench.moves(), "dwell")
 
 

@@ -8,28 +8,33 @@ from typing import Any
 
 import pytest
 
+from calrig.calibration.results import UNKNOWN_GYRO
 from calrig.calibration.uncertainty.conformity import Limit
+from calrig.model.result import Result
+from calrig.model.run import Progress
 from calrig.runs.batches import settled, word_of
 from calrig.store import Run
 from calrig.store.batches import Turn
 
 NOW = datetime(2026, 11, 22, tzinfo=UTC)
-RESULT = {
-    "bias_deg": 0.1,
-    "bias_std_deg": 0.01,
-    "scale": 1.0,
-    "scale_std": 1e-4,
-    "rms_raw_deg": 0.1,
-    "rms_calibrated_deg": 0.1,
-    "rms_with_effects_deg": None,
-    "n_poses": 8,
-    "noise_deg": 0.1,
-}
+RESULT = Result(
+    bias_deg=0.1,
+    bias_std_deg=0.01,
+    scale=1.0,
+    scale_std=1e-4,
+    rms_raw_deg=0.1,
+    rms_calibrated_deg=0.1,
+    rms_with_effects_deg=None,
+    n_poses=8,
+    noise_deg=0.1,
+    temperature_c=None,
+    gyro=UNKNOWN_GYRO,
+)
 
 
 def run(run_id: str, status: Any = "completed", bias_limit_deg: float | None = None, **more: Any) -> Run:
     limit = None if bias_limit_deg is None else Limit("l", bias_deg=(-bias_limit_deg, bias_limit_deg))
-    done = {"poses_done": 8, "poses_total": 8, "fraction": 1.0, "remaining_s": 0.0}
+    done = Progress(poses_done=8, poses_total=8, fraction=1.0, remaining_s=0.0)
     made = Run(
         id=run_id, unit="A", rig="r", status=status, plan={}, progress=done, result=None, diagnosis=None,
         faults={}, follows=None, provenance={}, operator=None, note=None, voided=None, created_at=NOW,
@@ -39,9 +44,9 @@ def run(run_id: str, status: Any = "completed", bias_limit_deg: float | None = N
 
 
 POOR, PLAIN, UNDECIDED = run("p", "failed"), run("d"), run("u", bias_limit_deg=1.0)
-FOLLOWS_NOTHING = {**RESULT, "rms_calibrated_deg": None}
+FOLLOWS_NOTHING = RESULT.model_copy(update={"rms_calibrated_deg": None})
 FAILING = replace(UNDECIDED, id="p", result=FOLLOWS_NOTHING)
-NOTHING = {"poses_done": 0, "poses_total": 8, "fraction": 0.0, "remaining_s": None}
+NOTHING = Progress(poses_done=0, poses_total=8, fraction=0.0, remaining_s=None)
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def test_the_duration_is_that_of_the_run_once_the_rig_has_shown_its_pace(make_ri
         expected, began_s = estimate(chosen, bench.settings, service.store), CLOCK.now_s()
         run = done(chosen)
         took_s = SCALE * (CLOCK.now_s() - began_s)
-        assert expected.n_poses == run.progress["poses_total"]
+        assert expected.n_poses == run.progress.poses_total
         assert took_s == pytest.approx(expected.duration_s, rel=0.05)
 
 

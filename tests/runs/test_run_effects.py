@@ -52,9 +52,9 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
     before = service.run(run_id).result
 
     accepted = Acceptance(service.store).accept(run_id, ["backlash", "accelerometer_offset"])
-    assert accepted.result["rms_with_effects_deg"] < 0.25 * accepted.result["rms_calibrated_deg"]
+    assert accepted.result.rms_with_effects_deg < 0.25 * accepted.result.rms_calibrated_deg
     of_effects = ("rms_with_effects_deg", "over_range")
-    assert all(accepted.result[key] == value for key, value in before.items() if key not in of_effects)
+    assert all(getattr(accepted.result, key) == value for key, value in before if key not in of_effects)
 
     flown = wanted_revision(service.store, "AS-1").document
     assert [effect["name"] for effect in flown["effects"]] == ["accelerometer_offset"], "play is the rig's"
@@ -69,17 +69,17 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
     assert abs(offset["parameters"]["z_mg"]["value"] - OFFSET_MG) < allowed_mg
 
     later = completed(service, plan=PLAN.model_copy(update={"sweeps": 2, "seed": 9}))
-    assert later.result["rms_with_effects_deg"] < 0.3 * later.result["rms_calibrated_deg"]
+    assert later.result.rms_with_effects_deg < 0.3 * later.result.rms_calibrated_deg
     assert service.store.poses(later.id)[0].pose.approach == -1, "it stood there and moved off first"
 
     verified = completed(service, plan=PLAN.model_copy(update={"kind": "verification", "sweeps": 1}))
     assert verified.provenance["verifies"] == later.id
-    assert verified.result["rms_with_effects_deg"] < 0.3 * verified.result["rms_calibrated_deg"]
+    assert verified.result.rms_with_effects_deg < 0.3 * verified.result.rms_calibrated_deg
     issued = wanted_revision(service.store, "AS-1").document
     assert issued["run_id"] == later.id, "a verification calibrates nothing"
-    assert verified.result["bias_deg"] == issued["bias_deg"]
+    assert verified.result.bias_deg == issued["bias_deg"]
     worth = issued["uncertainty"]
-    assert verified.result["reference"]["bias_std_deg"] == worth["reference_bias_deg"]
+    assert verified.result.reference.bias_std_deg == worth["reference_bias_deg"]
 
 
 def test_what_the_diagnosis_does_not_name_cannot_be_accepted(traced):

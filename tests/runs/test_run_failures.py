@@ -153,7 +153,7 @@ def test_the_run_fails_with_the_device_its_port_and_what_to_do(outcome: Outcome,
 
 def test_poses_so_far_are_kept(outcome: Outcome, case: Case) -> None:
     assert len(outcome.poses) == (2 if case.at == "on the move" else 0)
-    assert outcome.run.progress["poses_done"] == len(outcome.poses)
+    assert outcome.run.progress.poses_done == len(outcome.poses)
     assert outcome.run.finished_at is not None
 
 

@@ -34,7 +34,7 @@ def test_every_tenth_packet_damaged(
         assert np.abs(off_deg).max() < SIX_SIGMA_DEG
         assert np.abs(dwell.gyro_dps - [1.4, -0.6, 0.3]).max() < 6 * 0.05
         assert stored.pose.reading_deg - stored.pose.stage_deg == pytest.approx(0.8, abs=0.1)
-    assert run.result["bias_deg"] == pytest.approx(0.8, abs=0.1)
+    assert run.result.bias_deg == pytest.approx(0.8, abs=0.1)
 
 
 def test_the_gyros_account_of_a_move_in_which_the_board_was_reset_is_not_known(
@@ -46,7 +46,7 @@ def test_the_gyros_account_of_a_move_in_which_the_board_was_reset_is_not_known(
     ended = service.wait(run.id, 30)
     assert (ended.status, ended.faults["board_reset"]) == ("completed", 1)
     assert [p.pose.gyro_move_deg for p in store.poses(run.id)][1:] == [None, pytest.approx(40, abs=0.1)]
-    assert ended.result["gyro"]["scale"] == pytest.approx(1, abs=2e-3)
+    assert ended.result.gyro.scale == pytest.approx(1, abs=2e-3)
 
 
 def test_a_sensor_that_hangs_for_a_moment(bench: TruthRig, service: RunService, store: Store) -> None:

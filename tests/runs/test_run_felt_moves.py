@@ -55,7 +55,7 @@ def test_one_degree_lost_is_said_live_counted_and_in_the_verdict(ended, store):
     assert abs(told.data["difference_deg"]) > 6 * told.data["std_deg"]
     assert not told.data["ends_run"]
     assert run.verdict.says[0].startswith("Not to be relied on: in 1 move the unit felt")
-    assert run.result["gyro"]["scale"] == pytest.approx(1 / 1.025, abs=4e-3), "a lost move teaches no scale"
+    assert run.result.gyro.scale == pytest.approx(1 / 1.025, abs=4e-3), "a lost move teaches no scale"
 
 
 def test_a_slow_board_with_a_sketch_of_somebody_elses_tells_as_well(ended, store):

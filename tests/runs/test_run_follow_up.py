@@ -62,7 +62,7 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
         after = second.diagnosis
         assert second.follows == first.id
         assert after["runs"] == [first.id, second.id]
-        assert second.progress["poses_done"] < len(before["follow_up"]["plan"]["elevations_deg"])
+        assert second.progress.poses_done < len(before["follow_up"]["plan"]["elevations_deg"])
         effect, moved = after["effects"]
         assert (effect["name"], effect["verdict"], effect["changed"]) == ("backlash", "named", None)
         # the rig's mount lies at 0.8°, that of the poses before it at 0°

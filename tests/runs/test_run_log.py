@@ -59,7 +59,7 @@ def test_progress_follows_each_pose(logged: tuple[Run, list[Event], float]) -> N
     assert [one["fraction"] for one in progress] == pytest.approx([k / 6 for k in range(1, 7)])
     assert progress[-1]["remaining_s"] == 0.0
     assert all(one["remaining_s"] > 0 for one in progress[:-1])
-    assert run.progress == progress[-1]
+    assert run.progress.model_dump() == progress[-1]
 
 
 def test_readings_are_thinned_to_twenty_a_second(logged: tuple[Run, list[Event], float]) -> None:
@@ -119,7 +119,7 @@ def test_nobody_hears_after_unsubscribing(bench: TruthRig, service: RunService, 
 def test_a_run_is_told_as_it_was_asked_for(bench: TruthRig, service: RunService, store: Store) -> None:
     run = service.start(unit="AS/1 <b>", plan=plan(elevations_deg=[0]), operator="Ada", note="after lunch")
     assert (run.unit, run.rig, run.operator, run.note) == ("AS/1 <b>", "bench-1", "Ada", "after lunch")
-    assert run.progress["poses_total"] == 1
+    assert run.progress.poses_total == 1
     ended = service.wait(run.id, 30)
     assert ended.created_at <= ended.started_at <= ended.finished_at
     assert ended.status in AT_REST

@@ -13,6 +13,7 @@ from calrig.analysis.solutions import SolutionRequest, question
 from calrig.calibration.separation.report import solution_document
 from calrig.calibration.separation.solution import solve
 from calrig.estimation.angles import wrap_deg
+from calrig.model.run import Mount
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 
@@ -32,7 +33,7 @@ def clamp(bench: TruthRig, mount_deg: float, axis: str = "x") -> None:
 def waits(service: RunService, run: Run, mount_deg: float, axis: str = "x") -> None:
     """Until the run waits for that mount."""
     asked = {"mount_deg": mount_deg, "mount_axis": axis}
-    until(lambda: service.run(run.id).progress.get("waiting_for") == asked, f"mount {mount_deg}", 60)
+    until(lambda: service.run(run.id).progress.waiting_for == Mount(**asked), f"mount {mount_deg}", 60)
     assert service.run(run.id).status == "paused"
 
 
@@ -80,7 +81,7 @@ def test_it_waits_for_each_mount_and_refuses_to_go_on_where_gravity_disagrees(
     assert service.run(run.id).status == "paused"
     assert bench.table_deg(bench.now_s) == pytest.approx(stood_deg, abs=1e-3)
     clamp(bench, 118)
-    assert service.resume(run.id).progress["waiting_for"] is None
+    assert service.resume(run.id).progress.waiting_for is None
     waits(service, run, 240)
     clamp(bench, -120)
     service.resume(run.id)
@@ -89,7 +90,7 @@ def test_it_waits_for_each_mount_and_refuses_to_go_on_where_gravity_disagrees(
     assert states(store, run) == ["queued", "running", *["paused", "running"] * 2, "completed"]
     told = [event.data["waiting_for"] for event in events(store, run, "progress")]
     asked = [{"mount_deg": mount, "mount_axis": "x"} for mount in (120, 240)]
-    assert [one for one in told if one] == asked and ended.progress["waiting_for"] is None
+    assert [one for one in told if one] == asked and ended.progress.waiting_for is None
     poses = [stored.pose for stored in store.poses(run.id)]
     assert [pose.mount_deg for pose in poses] == [0, 0, 120, 120, 240, 240]
     assert [pose.sweep for pose in poses] == [0, 0, 1, 1, 2, 2]
@@ -103,8 +104,8 @@ def test_its_result_is_of_the_first_mount_and_all_of_them_solve_the_stage(
 ) -> None:
     _, run = finished
     assert run.status == "completed", run.error
-    assert run.result is not None and run.result["n_poses"] == 12
-    assert abs(run.result["scale"] - 1.0) < 0.02
+    assert run.result is not None and run.result.n_poses == 12
+    assert abs(run.result.scale - 1.0) < 0.02
     solution = solve(question(store, SolutionRequest([run.id])).lots)
     document = solution_document(solution)
     assert document["separable"]
@@ -142,7 +143,7 @@ def test_a_run_that_was_interrupted_goes_on_at_the_mount_it_was_at(
     waits(again, run, 240)
     again.abort(run.id)
     ended = again.run(run.id)
-    assert (ended.status, ended.progress["waiting_for"]) == ("aborted", None)
+    assert (ended.status, ended.progress.waiting_for) == ("aborted", None)
     assert [stored.pose.mount_deg for stored in store.poses(run.id)] == [0, 0, 120, 120]
     assert ("measured_again" in ended.provenance["interruptions"][0]) == (at == "within a mount")
 
@@ -155,7 +156,7 @@ def test_other_faces_are_asked_for_at_once_and_read_about_their_own_axis(
     service = serve(bench)
     mounts_deg = [first, first + 180.0]
     run = begin(service, THREE.model_copy(update={"mounts_deg": mounts_deg, "mount_axis": axis}))
-    assert run.progress["poses_total"] == 4
+    assert run.progress.poses_total == 4
     ended = all_mounts(bench, service, run, mounts_deg, axis)
     assert (ended.status, ended.result, ended.faults) == ("completed", None, {}), ended.error
     sense = -1 if axis.startswith("-") else 1
@@ -175,7 +176,7 @@ def test_nobody_is_asked_for_a_first_mount_that_gravity_agrees_with(
     ended = service.wait(run.id, 60)
     assert ended.status == "completed" and "paused" not in states(store, run)
     assert ended.result is not None
-    assert ended.result["bias_deg"] == pytest.approx(0.8, abs=0.1)
+    assert ended.result.bias_deg == pytest.approx(0.8, abs=0.1)
     assert store.revisions(run.unit)[0].document["range_deg"] == pytest.approx([90, 150], abs=0.01)
 
 

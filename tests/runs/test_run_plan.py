@@ -58,7 +58,7 @@ def test_a_sweep_waits_until_the_die_is_warm(store: Store) -> None:
         environment={"start_c": 22.0, "end_c": 42.0, "warm_up_s": 30.0},
     )
     assert one.column("temperature_c").min() >= 30.0
-    assert one.run.result["temperature_c"]["min"] == pytest.approx(one.column("temperature_c").min())
+    assert one.run.result.temperature_c.min == pytest.approx(one.column("temperature_c").min())
 
 
 def test_moves_are_no_faster_than_planned_and_the_stage_keeps_its_own_velocity(

@@ -186,7 +186,7 @@ def test_two_rigs_run_side_by_side(
     for run in runs:
         service.abort(run.id)
     runs = [begin(service, plan(), unit=f"on {name}", rig=name) for name in ("left", "right")]
-    bias = [service.wait(run.id, 30).result["bias_deg"] for run in runs]
+    bias = [service.wait(run.id, 30).result.bias_deg for run in runs]
     assert bias == pytest.approx([2.0, -1.0], abs=0.1)
 
 

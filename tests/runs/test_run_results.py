@@ -47,8 +47,8 @@ def test_bias_and_scale_of_the_rig_are_found_within_their_stated_errors(seeds: l
     off = []
     for one in seeds:
         result = one.run.result
-        off.append((result["bias_deg"] - OFFSET_DEG) / result["bias_std_deg"])
-        off.append((result["scale"] - SCALE) / result["scale_std"])
+        off.append((result.bias_deg - OFFSET_DEG) / result.bias_std_deg)
+        off.append((result.scale - SCALE) / result.scale_std)
     beyond = stats.t.isf(FAR_OUT / 2 / len(off), df=len(MEASURED.elevations()) * MEASURED.sweeps - 2)
     assert np.abs(off).max() < beyond, off
 
@@ -56,12 +56,12 @@ def test_bias_and_scale_of_the_rig_are_found_within_their_stated_errors(seeds: l
 def test_the_stated_errors_are_those_that_the_noise_makes(seeds: list[Measured]) -> None:
     for one in seeds:
         theta, result = one.column("stage_deg"), one.run.result
-        noise = result["noise_deg"] / math.sqrt(len(theta))
+        noise = result.noise_deg / math.sqrt(len(theta))
         freedom = len(theta) - 2
         least, most = np.sqrt(stats.chi2.ppf([FAR_OUT / 2, 1 - FAR_OUT / 2], freedom) / freedom)
         about_zero = math.sqrt(1 + theta.mean() ** 2 / theta.var())
-        assert least < result["bias_std_deg"] / (noise * about_zero) < most
-        assert least < result["scale_std"] / (noise / theta.std()) < most
+        assert least < result.bias_std_deg / (noise * about_zero) < most
+        assert least < result.scale_std / (noise / theta.std()) < most
 
 
 def test_what_the_stage_is_worth_stands_beside_the_errors_that_the_noise_makes(measured: Measured) -> None:
@@ -69,9 +69,9 @@ def test_what_the_stage_is_worth_stands_beside_the_errors_that_the_noise_makes(m
     theta, result = measured.column("stage_deg"), measured.run.result
     angle = np.radians(theta)
     of_scale, of_bias = (
-        0.29 * result["scale"] * np.hypot(*(np.polyfit(theta, f(angle), 1) for f in (np.sin, np.cos)))
+        0.29 * result.scale * np.hypot(*(np.polyfit(theta, f(angle), 1) for f in (np.sin, np.cos)))
     )
-    assert result["reference"] == {
+    assert result.reference.model_dump(exclude_unset=True) == {
         "std_deg": 0.29,
         "kind": "harmonic",
         "bias_std_deg": pytest.approx(of_bias),
@@ -83,14 +83,14 @@ def test_what_the_stage_is_worth_stands_beside_the_errors_that_the_noise_makes(m
 def test_rms_raw_and_calibrated_are_what_the_contract_says(measured: Measured) -> None:
     reading, stage, result = measured.column("reading_deg"), measured.column("stage_deg"), measured.run.result
     raw = reading - stage
-    calibrated = (reading - result["bias_deg"]) / result["scale"] - stage
-    assert result["rms_raw_deg"] == pytest.approx(math.sqrt((raw**2).mean()), abs=1e-9)
-    assert result["rms_calibrated_deg"] == pytest.approx(math.sqrt((calibrated**2).mean()), abs=1e-9)
-    assert result["rms_calibrated_deg"] < 0.1 * result["rms_raw_deg"]
-    assert result["rms_with_effects_deg"] is None
-    assert result["n_poses"] == len(reading) == 12
+    calibrated = (reading - result.bias_deg) / result.scale - stage
+    assert result.rms_raw_deg == pytest.approx(math.sqrt((raw**2).mean()), abs=1e-9)
+    assert result.rms_calibrated_deg == pytest.approx(math.sqrt((calibrated**2).mean()), abs=1e-9)
+    assert result.rms_calibrated_deg < 0.1 * result.rms_raw_deg
+    assert result.rms_with_effects_deg is None
+    assert result.n_poses == len(reading) == 12
     stderr = measured.column("reading_stderr_deg")
-    assert result["noise_deg"] == pytest.approx(math.sqrt((stderr**2).mean()), rel=1e-9)
+    assert result.noise_deg == pytest.approx(math.sqrt((stderr**2).mean()), rel=1e-9)
 
 
 def test_a_pose_says_whence_the_stage_came(measured: Measured) -> None:
@@ -120,13 +120,13 @@ def test_the_gyro_feels_each_move_whole(measured: Measured) -> None:
 
 def test_gyro_bias_and_scale_are_those_the_chip_was_given(seeds: list[Measured]) -> None:
     for one in seeds:
-        gyro = one.run.result["gyro"]
-        bias, bias_std = np.array(gyro["bias_dps"]), np.array(gyro["bias_std_dps"])
+        gyro = one.run.result.gyro
+        bias, bias_std = np.array(gyro.bias_dps), np.array(gyro.bias_std_dps)
         beyond = stats.t.isf(FAR_OUT, df=11)
         assert (np.abs(bias - GYRO_BIAS_DPS) < beyond * bias_std).all(), gyro
         assert (bias_std < 0.003).all()
-        assert gyro["scale"] == pytest.approx(1 / (SCALE * GYRO_GAIN), abs=1e-3)
-        assert gyro["scale_std"] < 1e-3
+        assert gyro.scale == pytest.approx(1 / (SCALE * GYRO_GAIN), abs=1e-3)
+        assert gyro.scale_std < 1e-3
 
 
 def test_means_over_the_dwell_are_those_of_its_samples(measured: Measured) -> None:
@@ -170,9 +170,9 @@ def test_dwells_at_one_elevation_scatter_as_their_standard_errors_say(store: Sto
     assert least < seen / stated < most
     assert seen > 5 * (one.column("reading_std_deg") / np.sqrt(one.column("n_samples"))).mean()  # not naive
     result = one.run.result
-    assert result["scale"] is None
-    assert result["scale_std"] is None
-    assert abs(result["bias_deg"] - OFFSET_DEG) < 6 * result["bias_std_deg"]
+    assert result.scale is None
+    assert result.scale_std is None
+    assert abs(result.bias_deg - OFFSET_DEG) < 6 * result.bias_std_deg
     assert (one.column("approach")[1:] == one.column("approach")[0]).all()  # nothing moved since
 
 
@@ -194,5 +194,5 @@ def test_a_wait_leaves_the_gyro_s_account_of_a_move_alone(store: Store) -> None:
 def test_temperature_range_is_that_of_the_poses(store: Store) -> None:
     one = measure_one(store, plan(), environment={"start_c": 20.0, "end_c": 40.0, "warm_up_s": 20.0})
     seen = one.column("temperature_c")
-    assert one.run.result["temperature_c"] == {"min": seen.min(), "max": seen.max()}
+    assert one.run.result.temperature_c.model_dump() == {"min": seen.min(), "max": seen.max()}
     assert seen.max() - seen.min() > 1.0

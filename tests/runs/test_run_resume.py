@@ -68,11 +68,11 @@ def test_the_result_is_that_of_a_run_that_nobody_disturbed(
     resumed = again.wait(left.id, 30)
     assert resumed.status == "completed", resumed.error
     for name, std in (("bias_deg", "bias_std_deg"), ("scale", "scale_std")):
-        allowed = 4 * float(np.hypot(resumed.result[std], undisturbed.result[std]))
-        assert abs(resumed.result[name] - undisturbed.result[name]) < allowed, name
+        allowed = 4 * float(np.hypot(getattr(resumed.result, std), getattr(undisturbed.result, std)))
+        assert abs(getattr(resumed.result, name) - getattr(undisturbed.result, name)) < allowed, name
     approaches = [[p.pose.approach for p in store.poses(run.id)] for run in (resumed, undisturbed)]
     assert approaches[0] == approaches[1]
-    assert resumed.result["gyro"]["scale"] == pytest.approx(undisturbed.result["gyro"]["scale"], abs=0.01)
+    assert resumed.result.gyro.scale == pytest.approx(undisturbed.result.gyro.scale, abs=0.01)
 
 
 def test_the_time_left_of_a_resumed_run_is_what_its_other_poses_then_take(
@@ -82,8 +82,8 @@ def test_the_time_left_of_a_resumed_run_is_what_its_other_poses_then_take(
     left = interrupted(first, store, begin(first, PLAN.model_copy(update={"sweeps": 1})), 2)
     again = serve(bench)
     again.resume(left.id)
-    until(lambda: len(store.poses(left.id)) > left.progress["poses_done"], "a pose of its own")
-    told_s, began_s = store.run(left.id).progress["remaining_s"], CLOCK.now_s()
+    until(lambda: len(store.poses(left.id)) > left.progress.poses_done, "a pose of its own")
+    told_s, began_s = store.run(left.id).progress.remaining_s, CLOCK.now_s()
     assert again.wait(left.id, 30).status == "completed"
     assert told_s == pytest.approx(CLOCK.now_s() - began_s, rel=0.3)
 
@@ -98,7 +98,7 @@ def test_a_stage_that_lost_its_reference_is_homed_again(
     again.resume(left.id)
     ended = again.wait(left.id, 30)
     assert ended.status == "completed", ended.error
-    assert ended.result["bias_deg"] == pytest.approx(0.8, abs=0.05)
+    assert ended.result.bias_deg == pytest.approx(0.8, abs=0.05)
 
 
 def test_a_static_log_goes_on_after_a_gap(bench: TruthRig, serve: Serve, store: Store) -> None:
@@ -171,7 +171,7 @@ def test_a_unit_that_was_turned_meanwhile_is_noticed(
     ended = again.wait(left.id, 30)
     assert ended.status == "interrupted"
     assert "the unit reads +1." in ended.error and "start a new run" in ended.error
-    assert len(store.poses(left.id)) == left.progress["poses_done"]
+    assert len(store.poses(left.id)) == left.progress.poses_done
 
 
 def test_an_interrupted_run_can_be_aborted_instead(bench: TruthRig, serve: Serve, store: Store) -> None:

@@ -50,9 +50,9 @@ def test_a_grbl_stage_and_a_raw_board_at_ten_lines_a_second_calibrate_a_unit(cal
     run = calibrate("i2cdev-raw", plan(elevations_deg=[-20, 20], settle_s=1.0, dwell_s=2.0), "grbl")
     assert (run.status, run.error) == ("completed", None)
     assert run.provenance["board"]["rate_hz"] == pytest.approx(9.5, abs=1)
-    assert run.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.5)
-    assert run.result["scale"] == pytest.approx(1, abs=0.02)
-    assert run.result["gyro"]["scale"] is None  # ten samples a second do not carry a move of 40° at 60°/s
+    assert run.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.5)
+    assert run.result.scale == pytest.approx(1, abs=0.02)
+    assert run.result.gyro.scale is None  # ten samples a second do not carry a move of 40° at 60°/s
     for stored in store.poses(run.id):
         assert stored.pose.gyro_move_deg is None
         assert 14 <= stored.pose.n_samples <= 21
@@ -68,9 +68,9 @@ def test_a_board_that_sends_its_own_angle_calibrates_a_unit_by_it(calibrate, sto
     """What it does not send is not known, and is not made up: no rate, no acceleration, no second filter."""
     run = calibrate("tkj-kalman", plan(elevations_deg=[-30, 30], settle_s=2.0, dwell_s=1.0))
     assert (run.status, run.error) == ("completed", None)
-    assert run.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.3)
-    assert run.result["gyro"]["bias_dps"] == [None] * 3
-    assert run.result["gyro"]["scale"] is None
+    assert run.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.3)
+    assert run.result.gyro.bias_dps == [None] * 3
+    assert run.result.gyro.scale is None
     for stored in store.poses(run.id):
         assert stored.pose.accel_y_g is None
         assert stored.pose.gyro_move_deg is None

@@ -34,7 +34,7 @@ def test_a_second_process_knows_where_the_first_left_the_stage(open_loop, serve)
     assert open_loop.table_deg(open_loop.now_s) == pytest.approx(ENDS_AT_DEG, abs=0.01)
     second = run_again(serve, open_loop)
     assert second.status == "completed", second.error
-    assert second.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.1)
+    assert second.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.1)
     assert open_loop.table_deg(open_loop.now_s) == pytest.approx(ENDS_AT_DEG, abs=0.01)
 
 
@@ -54,7 +54,7 @@ def test_a_stage_turned_by_hand_meanwhile_does_not_start_until_somebody_says_whe
     assert run_again(serve, open_loop, stage_at_deg=0.0).status == "failed", "a person can be wrong"
     said = run_again(serve, open_loop, stage_at_deg=ENDS_AT_DEG)
     assert said.status == "completed", said.error
-    assert said.result["bias_deg"] == pytest.approx(OFFSET_DEG, abs=0.1)
+    assert said.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.1)
 
 
 def test_a_process_that_died_in_mid_move_leaves_a_place_that_nobody_knows(open_loop, serve, store):

@@ -41,14 +41,14 @@ def test_reports_that_are_late_and_a_gyro_that_is_wrong_leave_nothing_in_the_pos
     service = serve(rig)
     began = begin(service, SWEEP)
     until(lambda: store.count_poses(began.id) == 1, "the first dwell", 60)
-    told_s, told_at_s = store.run(began.id).progress["remaining_s"], CLOCK.now_s()
+    told_s, told_at_s = store.run(began.id).progress.remaining_s, CLOCK.now_s()
     run = service.wait(began.id, 120)
     assert (run.status, run.error) == ("completed", None)
     assert told_s == pytest.approx(CLOCK.now_s() - told_at_s, rel=0.1), "left after the first dwell"
     left_s = [event.data["remaining_s"] for event in events(store, run, "progress")]
     assert left_s == sorted(left_s, reverse=True)
     poses = [stored.pose for stored in store.poses(run.id)]
-    assert len(poses) == 1 + 2 * (12 + 1) == run.progress["poses_total"]
+    assert len(poses) == 1 + 2 * (12 + 1) == run.progress.poses_total
     assert [pose.settle_s for pose in poses].count(None) == 24
     # the package sits 0.8° off, and reads nothing else: whatever is more is the sweep's own
     errors = np.array([pose.reading_deg - pose.theta_deg - 0.8 for pose in poses])
@@ -64,10 +64,10 @@ def test_reports_that_are_late_and_a_gyro_that_is_wrong_leave_nothing_in_the_pos
     expected_s = estimate(SWEEP, rig.settings, store).duration_s
     assert expected_s == pytest.approx((poses[-1].time_s or 0.0) + 0.5, rel=0.15)
 
-    assert run.result is not None and run.result["bias_deg"] == pytest.approx(0.8, abs=0.003)
-    assert run.result["gyro"]["scale"] == pytest.approx(1 / 1.025, abs=0.001)
+    assert run.result is not None and run.result.bias_deg == pytest.approx(0.8, abs=0.003)
+    assert run.result.gyro.scale == pytest.approx(1 / 1.025, abs=0.001)
     (revision,) = [one for one in store.revisions("AS-1") if one.run_id == run.id]
-    assert revision.document["bias_deg"] == run.result["bias_deg"]
+    assert revision.document["bias_deg"] == run.result.bias_deg
     told = [event.data for event in store.events_after(run.id, limit=10_000) if event.type == "reading"]
     speeds_dps = [
         abs(now["stage_deg"] - before["stage_deg"]) / (now["time_s"] - before["time_s"])
@@ -111,7 +111,7 @@ def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
     poses = [stored.pose for stored in store.poses(run.id)]
     assert len(poses) == 27 and poses[: len(kept)] == kept
     assert [pose.sweep for pose in poses] == 14 * [0] + 13 * [1]
-    assert ended.result is not None and ended.result["n_poses"] == 27
+    assert ended.result is not None and ended.result.n_poses == 27
 
 
 def test_a_pass_in_which_the_board_was_reset_is_turned_anew(
@@ -143,7 +143,7 @@ def test_a_sweep_ends_after_the_pass_that_is_good_enough_and_pauses_between_pass
     service.resume(run.id)
     ended = service.wait(run.id, 120)
     assert ended.status == "completed" and ended.result is not None
-    assert ended.result["stopped_by"] == "until" and ended.result["bias_std_deg"] <= 0.004
+    assert ended.result.stopped_by == "until" and ended.result.bias_std_deg <= 0.004
     assert len(store.poses(run.id)) in (27, 40)
     assert states(store, run).count("paused") == 1
 
@@ -195,7 +195,7 @@ def test_a_pass_in_which_the_rig_stood_for_a_moment_is_turned_anew(
     poses = [stored.pose for stored in store.poses(run.id)]
     assert len(poses) == 15
     assert np.abs([pose.reading_deg - pose.theta_deg - 0.8 for pose in poses]).max() < 0.02
-    assert ended.result is not None and "lost_says" not in ended.result
+    assert ended.result is not None and ended.result.lost_says is None
 
 
 @pytest.mark.parametrize("good", [1, 2])
@@ -218,8 +218,8 @@ def test_passes_that_are_never_even_end_the_run_with_those_before_if_both_senses
     assert (ended.status, ended.error) == ("completed", None)
     done = ended.progress
     assert (done["poses_done"], done["poses_total"], done["fraction"]) == (n_whole, n_whole, 1.0)
-    assert ended.result is not None and ended.result["bias_deg"] == pytest.approx(0.8, abs=0.01)
+    assert ended.result is not None and ended.result.bias_deg == pytest.approx(0.8, abs=0.01)
     assert ended.verdict is not None
     (said,) = [one for one in ended.verdict.says if "after 2 of 3 passes" in one]
     assert "from -15° to 15°, 3 times over" in said and "does not turn evenly" in said
-    assert ended.result["lost_says"] == said
+    assert ended.result.lost_says == said

@@ -35,20 +35,20 @@ def test_a_run_ends_once_it_is_good_enough_and_everything_follows_from_the_same_
     ended = again.wait(run.id, 60)
     assert (ended.status, ended.error) == ("completed", None)
     result = ended.result
-    assert result is not None and result["stopped_by"] == "until"
-    assert 9 <= result["n_poses"] < 36
-    assert ended.progress["fraction"] == 1.0 and ended.progress["remaining_s"] == 0.0
-    assert ended.progress["poses_total"] == len(store.poses(run.id)) == result["n_poses"]
+    assert result is not None and result.stopped_by == "until"
+    assert 9 <= result.n_poses < 36
+    assert ended.progress.fraction == 1.0 and ended.progress.remaining_s == 0.0
+    assert ended.progress.poses_total == len(store.poses(run.id)) == result.n_poses
     (revision,) = [one for one in store.revisions("AS-1") if one.run_id == run.id]
     stated_deg = revision.document["expanded_uncertainty_deg"]
-    assert stated_deg == result["over_range"]["expanded_uncertainty_deg"] <= 0.55
-    assert revision.document["covariance"][0][0] ** 0.5 == pytest.approx(result["bias_std_deg"])
-    assert result["bias_std_deg"] <= 0.05
+    assert stated_deg == result.over_range.expanded_uncertainty_deg <= 0.55
+    assert revision.document["covariance"][0][0] ** 0.5 == pytest.approx(result.bias_std_deg)
+    assert result.bias_std_deg <= 0.05
 
     left = Records(store).exclude_pose(run.id, 4, "touched").result
-    assert left is not None and left["stopped_by"] == "until"
+    assert left is not None and left.stopped_by == "until"
     back = Records(store).include_pose(run.id, 4).result
-    assert back is not None and back["bias_std_deg"] == pytest.approx(result["bias_std_deg"])
+    assert back is not None and back.bias_std_deg == pytest.approx(result.bias_std_deg)
 
     def designed(wanted: DesignRequest) -> Designed:
         return answer(question(wanted, Plan(), bench.settings, "AS-1", store, {}))

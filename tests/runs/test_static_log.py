@@ -26,7 +26,7 @@ def test_a_log_is_kept_whole_and_even_and_nothing_moves(
     assert not bench.table_dps(before_s, bench.now_s).any()
     assert store.poses(run.id) == []
     done = {"poses_done": 0, "poses_total": 0, "fraction": 1.0, "remaining_s": 0.0, "waiting_for": None}
-    assert run.progress == done
+    assert run.progress.model_dump() == done
     assert len(store.samples(run.id, 0)) == len(log)
     with pytest.raises(NotFound, match="has no pose 1"):
         store.samples(run.id, 1)

@@ -67,7 +67,12 @@ def result() -> dict[str, Any]:
         "n_poses": 52,
         "noise_deg": 0.02,
         "temperature_c": {"min": 21.5, "max": 24.0},
-        "gyro": {"bias_dps": [0.1, -0.2, 0.3], "scale": 1.001},
+        "gyro": {
+            "bias_dps": [0.1, -0.2, 0.3],
+            "bias_std_dps": [0.01] * 3,
+            "scale": 1.001,
+            "scale_std": 1e-4,
+        },
     }
 
 

@@ -138,7 +138,7 @@ def test_a_store_of_every_earlier_revision_is_brought_up_to_date(url, database, 
     with Store.open(url, writer="serve") as store:
         (pose,) = store.poses("1")
         assert (pose.index, pose.pose.reading_deg, pose.pose.covariates) == (0, 10.25, {"humidity": 0.4})
-        assert store.run("1").result == {"bias_deg": 0.25}
+        assert store.run("1").result.bias_deg == 0.25
         (row,) = store.comparison()
         assert (row.unit, row.result["bias_deg"]) == ("A", 0.25)
         assert [(event.seq, event.type) for event in store.events_after("1")] == [(1, "state")]

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from calrig.calibration.poses import Pose
+from calrig.model.result import Result
+from calrig.model.run import Progress
 from calrig.store import NotFound, SampleBlock, Store, StoreError
 from calrig.store.convert import joined_arrays, packed_arrays
 
@@ -101,7 +103,10 @@ def test_a_pose_is_stored_with_its_events_and_samples_or_not_at_all(store, new_r
     events = [("pose", {"index": 0, **FULL.row()}), ("progress", progress)]
     blocks = [block(0, "move"), block(0, "dwell")]
     assert store.add_pose(run.id, 0, FULL, blocks, events, progress=progress, faults={"crc": 1}) == [2, 3]
-    assert (store.run(run.id).progress, store.run(run.id).faults) == (progress, {"crc": 1})
+    assert (store.run(run.id).progress, store.run(run.id).faults) == (
+        Progress.model_validate(progress),
+        {"crc": 1},
+    )
 
     with pytest.raises(StoreError, match=r"(?i)unique"):
         store.add_pose(run.id, 0, FULL, [block(0, "dwell")], events, faults={"crc": 9})
@@ -118,14 +123,14 @@ def test_an_excluded_pose_is_kept_and_changes_the_result_with_it(store, new_run,
     changed = store.exclude_pose(run.id, 1, "somebody leaned on the bench", result=without)
 
     assert changed == store.run(run.id)
-    assert changed.result == without
+    assert changed.result == Result.model_validate(without)
     assert [row.result["bias_deg"] for row in store.comparison()] == [0.5]
     assert [p.excluded for p in store.poses(run.id)] == [None, "somebody leaned on the bench", None]
     assert [p.index for p in store.poses(run.id, include_excluded=False)] == [0, 2]
     for index in (-1, 3, 2**70):
         with pytest.raises(NotFound, match=f"no pose {index}"):
             store.exclude_pose(run.id, index, "", result=None)
-    assert store.run(run.id).result == without
+    assert store.run(run.id).result == Result.model_validate(without)
 
 
 @given(
@@ -188,5 +193,5 @@ def test_pruning_takes_samples_of_old_finished_runs_and_shortens_the_file(databa
         assert store.prune_samples(datetime.now(UTC) + timedelta(days=1)) == 20_000
         assert (len(store.samples(old.id)), len(store.samples(going.id))) == (0, 20_000)
         assert [p.pose for p in store.poses(old.id)] == [FULL]
-        assert store.run(old.id).result == result
+        assert store.run(old.id).result == Result.model_validate(result)
     assert database.stat().st_size < 0.6 * size

@@ -10,6 +10,7 @@ import pytest
 from dated_runs import gave, lay
 
 from calrig.calibration.poses import Pose
+from calrig.model.run import Progress
 from calrig.run_ids import new_run_id
 from calrig.store import AcceptedEffect, NotFound, Store, StoreError
 from calrig.store.errors import Refused
@@ -32,7 +33,9 @@ def test_a_run_comes_back_as_it_was_made(store, new_run):
 
     assert store.run(made.id) == made
     assert made.plan == {"kind": "calibration", "seed": 2**63 - 1}
-    assert made.progress == {"poses_done": 0, "poses_total": 52, "fraction": 0.0, "remaining_s": None}
+    assert made.progress == Progress.model_validate(
+        {"poses_done": 0, "poses_total": 52, "fraction": 0.0, "remaining_s": None}
+    )
     assert (made.result, made.diagnosis, made.voided, made.error, made.follows) == (None,) * 5
     assert made.faults == {}
     assert (made.started_at, made.finished_at) == (None, None)
@@ -105,7 +108,7 @@ def test_each_change_of_state_is_announced_with_it(store, new_run):
     assert started.started_at is not None and started.finished_at is None
     assert failed.started_at == started.started_at and failed.finished_at >= failed.started_at
     assert failed.faults == {"crc": 2}
-    assert failed.progress == PROGRESS
+    assert failed.progress == Progress.model_validate(PROGRESS)
 
 
 def test_a_resumed_run_keeps_when_it_began_and_is_not_finished(store, new_run):
@@ -175,7 +178,9 @@ def test_runs_of_one_moment_are_each_on_one_page(store):
 def test_an_import_is_stored_at_once_or_not_at_all(store, new_run, result):
     run = new_run(status="completed", poses=[Pose(0.0, 0.1), Pose(10.0, 10.2)], result=result)
     assert [p.pose.reading_deg for p in store.poses(run.id)] == [0.1, 10.2]
-    assert run.progress == {"poses_done": 2, "poses_total": 2, "fraction": 1.0, "remaining_s": 0.0}
+    assert run.progress == Progress.model_validate(
+        {"poses_done": 2, "poses_total": 2, "fraction": 1.0, "remaining_s": 0.0}
+    )
     assert run.started_at == run.finished_at == run.created_at
     assert store.latest_calibration_run("A").id == run.id
 
@@ -211,7 +216,7 @@ def test_the_calibration_in_force_is_the_latest_that_counts(store, new_run, resu
 
     assert store.latest_calibration_run("A") == store.run(in_force.id)
     assert store.latest_calibration_run("B") is None
-    assert store.run(voided.id).voided["reason"] == "wrong fixture"
+    assert store.run(voided.id).voided.reason == "wrong fixture"
     assert store.run(voided.id).result == voided.result, "a voided run is kept"
 
 
@@ -247,7 +252,7 @@ def test_a_new_result_replaces_the_figures_and_none_removes_them(store, new_run,
     store.update_run(run.id, status="completed", result=result)
     store.set_result(run.id, {**result, "bias_deg": 0.5})
     assert [r.result["bias_deg"] for r in store.comparison()] == [0.5]
-    assert store.run(run.id).result["bias_deg"] == 0.5
+    assert store.run(run.id).result.bias_deg == 0.5
 
     store.set_result(run.id, None)
     assert store.comparison() == []

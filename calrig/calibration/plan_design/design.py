@@ -34,7 +34,7 @@ from calrig.calibration.plan_design.traced import (
     with_suspects,
 )
 from calrig.calibration.progress import Progress, unheard
-from calrig.plan import FEWEST_UNTIL, FIRST_SETTLE_S
+from calrig.model.plan import FEWEST_UNTIL, FIRST_SETTLE_S
 
 MOST_POSES = dwell_designs.POSES[-1]
 MOST_TRIED = 40

@@ -11,8 +11,8 @@ from functools import lru_cache
 
 from calrig.calibration.plan_design.layout import Pace, Precision, Sweep, Turning, leverage
 from calrig.calibration.plan_design.smallest_effects import SHOWN_BY_MOVING, Suspect
-from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.coverage import coverage_factor
+from calrig.model.result import Reference
 
 
 @dataclass(frozen=True, slots=True)

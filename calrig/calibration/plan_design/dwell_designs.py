@@ -19,7 +19,7 @@ from calrig.calibration.plan_design.design_problem import (
 )
 from calrig.calibration.plan_design.layout import DECIMALS, layout, way_s
 from calrig.calibration.uncertainty.sequential_stopping import caution, has_the_line
-from calrig.plan import FEWEST_UNTIL
+from calrig.model.plan import FEWEST_UNTIL
 
 POSES = (4, 5, 6, 7, 8, 10, 12, 14, 16, 18, 20, 22, 25, 28, 32, 36, 40, 44, 48, 52, 56, 60, 80, 100, 140, 200)
 SWEEPS = (1, 2, 4, 6)

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.plan import FIRST_SETTLE_S, LONGEST_STRETCH_DEG, Plan, PlannedPose
+from calrig.model.plan import FIRST_SETTLE_S, LONGEST_STRETCH_DEG, Plan, PlannedPose
 
 DATA_SHEET_WHITE = math.degrees(400e-6 / math.sqrt(2.0))
 """°·√s of an elevation by an MPU-6050: 400 µg/√Hz, one-sided (PS-MPU-6000A rev. 3.4, section 6.2)."""

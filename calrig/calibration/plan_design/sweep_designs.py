@@ -19,7 +19,7 @@ from calrig.calibration.plan_design.design_problem import (
 )
 from calrig.calibration.plan_design.layout import Sweep, least_stretch_s, sweeps
 from calrig.calibration.uncertainty.sequential_stopping import caution
-from calrig.plan import FEWEST_UNTIL
+from calrig.model.plan import FEWEST_UNTIL
 
 
 def reaching(task: DesignProblem, goals: Goals) -> Iterator[Design]:

@@ -17,7 +17,7 @@ from calrig.calibration.plan_design.smallest_effects import (
     suspects,
 )
 from calrig.calibration.plan_design.sweep_designs import made as swept
-from calrig.plan import LONGEST_STRETCH_DEG, Plan
+from calrig.model.plan import LONGEST_STRETCH_DEG, Plan
 
 STANDARD_DEG = tuple(pose.target_deg for pose in Plan().poses((-90.0, 90.0)))
 """Of the default plan: what it shows beside the same noise is what a design is to show that may sweep."""

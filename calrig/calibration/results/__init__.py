@@ -17,13 +17,13 @@ from calrig.calibration.results.pose_errors import (
     raw_error_deg,
     residuals,
 )
-from calrig.calibration.results.result import GyroFigures, Result, apply_calibration, build_result
+from calrig.calibration.results.result import UNKNOWN_GYRO, FittedResult, apply_calibration, build_result
 
 __all__ = [
+    "UNKNOWN_GYRO",
     "Application",
     "AppliedEffect",
-    "GyroFigures",
-    "Result",
+    "FittedResult",
     "apply_calibration",
     "as_clamped",
     "build_result",

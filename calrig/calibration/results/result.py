@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from calrig.calibration.line import Line, fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, of_first_mount
@@ -20,99 +19,40 @@ from calrig.calibration.results.pose_errors import (
     raw_error_deg,
     without_effects_deg,
 )
-from calrig.calibration.uncertainty.budget import RangeErrors, Reference, ReferenceFigures, over_range
-from calrig.calibration.uncertainty.sequential_stopping import AS_PLANNED, Ending, StoppedBy, cautious
+from calrig.calibration.uncertainty.budget import over_range, reference_figures
+from calrig.calibration.uncertainty.sequential_stopping import AS_PLANNED, Ending, cautious
 from calrig.estimation.angles import FloatArray
-
-PerAxis = tuple[float | None, float | None, float | None]
+from calrig.model.result import Extremes, Gyro, Reference, ReferenceFigures, Result
 
 RELATIVE = (
     "The solution that was verified does not know the level: errors are less their mean over the poses."
 )
 
 
-@dataclass(frozen=True, slots=True)
-class GyroFigures:
-    """What the run says of the gyro: bias about x, y, z; scale, stage rotation over integrated rate."""
-
-    bias_dps: PerAxis = (None, None, None)
-    bias_std_dps: PerAxis = (None, None, None)
-    scale: float | None = None
-    scale_std: float | None = None
+UNKNOWN_GYRO = Gyro(bias_dps=[None] * 3, bias_std_dps=[None] * 3, scale=None, scale_std=None)
+"""Of poses without samples of the gyro."""
 
 
-@dataclass(frozen=True, slots=True)
-class TemperatureRange:
-    """Lowest and highest die temperature of the poses, °C."""
-
-    min: float
-    max: float
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """CONTRACT section 2, "Result"; what is not known is None.
+class FittedResult(Result):
+    """A result with the fit that it is from.
 
     Attributes:
-        reference: the stage's part of bias and scale, beside their own standard errors; None where nobody
-            has said what the stage is worth.
-        reference_says: why the stage's map in force was not used, or what the errors are relative to.
-        over_range: the error that is left over the range after everything accepted; None where the reading
-            does not follow the stage.
-        line: the fit itself, with covariance and residual scatter, for the unit's calibration.
+        line: with covariance and residual scatter, for the unit's calibration.
         line_with_effects: the same once accepted effects are taken out; None without any.
-        stopped_by: its plan, which was carried out whole, or `until`, which was reached before.
-        lost_says: what of the plan could not be measured; None where nothing is missing.
     """
 
-    bias_deg: float
-    bias_std_deg: float | None
-    scale: float | None
-    scale_std: float | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-    n_poses: int
-    noise_deg: float | None
-    temperature_c: TemperatureRange | None
-    gyro: GyroFigures
-    reference: ReferenceFigures | None
-    over_range: RangeErrors | None
-    line: Line = field(repr=False)
-    line_with_effects: Line | None = field(default=None, repr=False)
-    reference_says: str | None = None
-    stopped_by: StoppedBy = "plan"
-    lost_says: str | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """The result ready for JSON, with the contract's keys and null for what is not known."""
-        document = asdict(self)
-        del document["line"], document["line_with_effects"]
-        gyro = document["gyro"]
-        gyro["bias_dps"], gyro["bias_std_dps"] = list(gyro["bias_dps"]), list(gyro["bias_std_dps"])
-        if self.over_range is not None:
-            document["over_range"] = self.over_range.to_dict()
-        return _as_before_maps(document)
-
-
-def _as_before_maps(document: dict[str, Any]) -> dict[str, Any]:
-    """Without what only some results have to say: those of before were kept without it."""
-    for says in ("reference_says", "lost_says"):
-        if document[says] is None:
-            del document[says]
-    if document["reference"] is not None and document["reference"]["line_covariance"] is None:
-        del document["reference"]["line_covariance"]
-    return document
+    line: Line = Field(repr=False, exclude=True)
+    line_with_effects: Line | None = Field(default=None, repr=False, exclude=True)
 
 
 def build_result(
     poses: Sequence[Pose],
-    gyro: GyroFigures | None = None,
+    gyro: Gyro | None = None,
     effects: Sequence[AppliedEffect] = (),
     reference: Reference | None = None,
     reference_says: str | None = None,
     ending: Ending = AS_PLANNED,
-) -> Result:
+) -> FittedResult:
     """Fits a run's poses and gathers what they say; of several mounts, the first one's.
 
     Args:
@@ -139,7 +79,7 @@ def build_result(
         if with_effects is not None:
             with_effects = cautious(with_effects[0], len(poses), noise_deg), with_effects[1]
     left = (line, calibrated_deg) if with_effects is None else with_effects
-    return Result(
+    return FittedResult(
         bias_deg=line.bias_deg,
         bias_std_deg=line.bias_std_deg,
         scale=line.scale,
@@ -150,8 +90,8 @@ def build_result(
         n_poses=len(poses),
         noise_deg=noise_deg,
         temperature_c=_temperature_range(poses),
-        gyro=gyro or GyroFigures(),
-        reference=None if reference is None else ReferenceFigures.of(theta, line, reference),
+        gyro=gyro or UNKNOWN_GYRO,
+        reference=None if reference is None else reference_figures(theta, line, reference),
         over_range=over_range(theta, left[1], left[0], reference, noise_deg),
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
@@ -162,13 +102,13 @@ def build_result(
 
 def apply_calibration(
     poses: Sequence[Pose],
-    gyro: GyroFigures | None,
+    gyro: Gyro | None,
     line: Line,
     effects: Sequence[AppliedEffect],
     reference: ReferenceFigures | None = None,
     *,
     clamped_anew: bool = False,
-) -> Result:
+) -> FittedResult:
     """What a calibration made earlier leaves of a run's poses: nothing is fitted, all of it is verified.
 
     Args:
@@ -189,24 +129,25 @@ def apply_calibration(
     without = without_effects_deg(poses, applied, effects)
     left_deg = residuals_deg(theta, without, applied.bias_deg, applied.scale)
     fresh = build_result(poses, gyro)
-    return replace(
-        fresh,
-        bias_deg=line.bias_deg,
-        bias_std_deg=line.bias_std_deg,
-        scale=line.scale,
-        scale_std=line.scale_std,
-        rms_calibrated_deg=_known(rms(residuals_deg(theta, reading, bare.bias_deg, bare.scale))),
-        rms_with_effects_deg=_known(rms(left_deg)) if effects else None,
-        reference=reference,
-        over_range=over_range(
-            theta,
-            left_deg,
-            fit_line(theta, without, one_angle=fresh.scale is None),
-            None if reference is None else reference.reference,
-            fresh.noise_deg,
-        ),
-        line=line,
-        reference_says=RELATIVE if clamped_anew else None,
+    return fresh.model_copy(
+        update={
+            "bias_deg": line.bias_deg,
+            "bias_std_deg": line.bias_std_deg,
+            "scale": line.scale,
+            "scale_std": line.scale_std,
+            "rms_calibrated_deg": _known(rms(residuals_deg(theta, reading, bare.bias_deg, bare.scale))),
+            "rms_with_effects_deg": _known(rms(left_deg)) if effects else None,
+            "reference": reference,
+            "over_range": over_range(
+                theta,
+                left_deg,
+                fit_line(theta, without, one_angle=fresh.scale is None),
+                None if reference is None else reference.reference,
+                fresh.noise_deg,
+            ),
+            "line": line,
+            "reference_says": RELATIVE if clamped_anew else None,
+        }
     )
 
 
@@ -231,9 +172,9 @@ def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:
     return math.sqrt(sum(error * error for error in known) / len(known)) if known else None
 
 
-def _temperature_range(poses: Sequence[Pose]) -> TemperatureRange | None:
+def _temperature_range(poses: Sequence[Pose]) -> Extremes | None:
     known = [temperature for pose in poses if (temperature := pose.temperature_c) is not None]
-    return TemperatureRange(min(known), max(known)) if known else None
+    return Extremes(min=min(known), max=max(known)) if known else None
 
 
 def _known(value: float) -> float | None:

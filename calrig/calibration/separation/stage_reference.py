@@ -20,10 +20,10 @@ import numpy as np
 
 from calrig.calibration.poses import Pose
 from calrig.calibration.separation.stage_map import TURN_DEG, basis
-from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import deg
 from calrig.canonical_json import sha256_of
 from calrig.estimation.angles import FloatArray
+from calrig.model.result import Reference
 
 MAP_SCHEMA = "calrig.stage-map/1"
 MARGIN_DEG = 1.0

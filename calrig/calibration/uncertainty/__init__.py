@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from calrig.calibration.uncertainty.budget import RangeErrors, Reference, ReferenceFigures, uncertainty
+from calrig.calibration.uncertainty.budget import reference_figures, uncertainty
 from calrig.calibration.uncertainty.conformity import (
-    Answer,
-    Limit,
     cannot_pass,
     deg,
     limit_for,
@@ -15,7 +13,6 @@ from calrig.calibration.uncertainty.conformity import (
 from calrig.calibration.uncertainty.coverage import COVERAGE, coverage_factor
 from calrig.calibration.uncertainty.doubts import (
     REMOUNT_LIMIT_DEG,
-    Doubt,
     Line,
     clamping_doubts,
     displacement_doubts,
@@ -36,14 +33,8 @@ __all__ = [
     "AS_PLANNED",
     "COVERAGE",
     "REMOUNT_LIMIT_DEG",
-    "Answer",
-    "Doubt",
     "Ending",
-    "Limit",
     "Line",
-    "RangeErrors",
-    "Reference",
-    "ReferenceFigures",
     "cannot_pass",
     "clamping_doubts",
     "coverage_factor",
@@ -54,6 +45,7 @@ __all__ = [
     "percent",
     "pose_doubts",
     "position_doubts",
+    "reference_figures",
     "remount_doubts",
     "repeat_doubts",
     "significant",

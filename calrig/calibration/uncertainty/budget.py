@@ -10,36 +10,15 @@ What a rig's reference made of a result, as the result keeps it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calrig.calibration.line import MIN_SCALE, Line
-from calrig.calibration.uncertainty.coverage import COVERAGE, Distribution, coverage_factor
+from calrig.calibration.uncertainty.coverage import COVERAGE, coverage_factor
 from calrig.estimation.angles import FloatArray
-
-ReferenceKind = Literal["setting", "harmonic", "common", "map"]
-Covariance = tuple[tuple[float, float], tuple[float, float]]
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """What the stage's own angle is worth: a standard uncertainty, shared among poses as `kind` says.
-
-    `distribution` is that of the error at one angle: a limit from a data sheet, ±a, is rectangular with
-    std_deg = a/√3; a certificate's U/k is normal.
-
-    Of kind `map` it is what a stage's map was worth to certain poses (`stage_reference.map_reference`):
-    std_deg of a calibrated elevation, and `line_covariance` of the line's offset (deg) and slope that its
-    error is taken for.
-    """
-
-    std_deg: float
-    kind: ReferenceKind = "harmonic"
-    distribution: Distribution = "rectangular"
-    line_covariance: Covariance | None = None
+from calrig.model.result import RangeErrors, Reference, ReferenceFigures
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,54 +191,9 @@ DECIMALS = 6
 """A microdegree; a result is kept and sent with every run."""
 
 
-@dataclass(frozen=True, slots=True)
-class RangeErrors:
-    """The line that was found and, over the range, the error that is left once everything is applied.
-
-    Attributes:
-        bias_deg, scale: as found, beside all effects accepted.
-        covariance: of bias and scale, type A; None where too few poses tell.
-        freedom: degrees of freedom of the scatter that it is from.
-        expanded_uncertainty_deg: of one calibrated elevation; None where the reference is not known.
-        error_expanded_uncertainty_deg: of the errors below, which are not their own uncertainty: the noise of
-            a reading stands in it where that of an elevation has all that is left. None likewise.
-        coverage_factor: its k, for the probability `coverage`.
-        elevation_deg: (m,) in the middle of stretches of the range, ascending.
-        lowest_error_deg: (m,) of the poses in each stretch, calibrated elevation less θ.
-        highest_error_deg: (m,) likewise.
-        mean_error_deg: over the range; what a fit leaves has about none, what is verified may.
-    """
-
-    bias_deg: float
-    scale: float | None
-    covariance: tuple[tuple[float, float], tuple[float, float]] | None
-    freedom: int
-    expanded_uncertainty_deg: float | None
-    error_expanded_uncertainty_deg: float | None
-    coverage_factor: float | None
-    coverage: float
-    elevation_deg: tuple[float, ...]
-    lowest_error_deg: tuple[float, ...]
-    highest_error_deg: tuple[float, ...]
-    mean_error_deg: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return {name: _thawed(value) for name, value in asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> RangeErrors:
-        """What `to_dict` gave; further keys of the document are not looked at."""
-        return cls(**{one.name: frozen(document[one.name]) for one in fields(cls)})
-
-
 def frozen(value: Any) -> Any:
     """Lists as tuples, all the way down."""
     return tuple(map(frozen, value)) if isinstance(value, (list, tuple)) else value
-
-
-def _thawed(value: Any) -> Any:
-    return list(map(_thawed, value)) if isinstance(value, tuple) else value
 
 
 def over_range(
@@ -308,34 +242,14 @@ def over_range(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceFigures:
-    """What the rig says its stage is worth, and what that makes of bias and scale.
-
-    Standard uncertainties of type B: `bias_std_deg` and `scale_std` of the result itself are of type A.
-    `line_covariance` is that of `Reference`; None but for a stage's map.
-    """
-
-    std_deg: float
-    kind: ReferenceKind
-    bias_std_deg: float
-    scale_std: float | None
-    distribution: Distribution = "rectangular"
-    line_covariance: Covariance | None = None
-
-    @property
-    def reference(self) -> Reference:
-        """What the rig said."""
-        return Reference(self.std_deg, self.kind, self.distribution, self.line_covariance)
-
-    @classmethod
-    def of(cls, theta_deg: FloatArray, line: Line, reference: Reference) -> ReferenceFigures:
-        """Of a line fitted to poses at these elevations (n,)."""
-        part = reference_part(theta_deg, line.scale, reference)
-        known = reference.distribution, reference.line_covariance
-        return cls(reference.std_deg, reference.kind, part.bias_deg, part.scale, *known)
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> ReferenceFigures:
-        """What a result has of it; those of before have no distribution, or no covariance."""
-        return cls(**{one.name: frozen(document[one.name]) for one in fields(cls) if one.name in document})
+def reference_figures(theta_deg: FloatArray, line: Line, reference: Reference) -> ReferenceFigures:
+    """Return what the reference makes of a line fitted to poses at these elevations (n,)."""
+    part = reference_part(theta_deg, line.scale, reference)
+    return ReferenceFigures(
+        std_deg=reference.std_deg,
+        kind=reference.kind,
+        bias_std_deg=part.bias_deg,
+        scale_std=part.scale,
+        distribution=reference.distribution,
+        line_covariance=reference.line_covariance,
+    )

@@ -21,16 +21,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from functools import lru_cache
-from typing import Any, Literal
 
 import numpy as np
 
-from calrig.calibration.uncertainty.budget import RangeErrors, Reference, ReferenceKind, reference_part
-from calrig.calibration.uncertainty.coverage import COVERAGE, Distribution, coverage_factor
+from calrig.calibration.uncertainty.budget import reference_part
+from calrig.calibration.uncertainty.coverage import COVERAGE, coverage_factor
 from calrig.estimation.angles import FloatArray
+from calrig.model.result import Distribution, RangeErrors, Reference, ReferenceKind
+from calrig.model.verdict import Answer, Interval, Limit
 
 
 def deg(value: float) -> str:
@@ -54,56 +54,8 @@ def percent(probability: float) -> str:
     return f"{100.0 * probability:.{2 if probability < 0.01 or probability > 0.99 else 1}f} %"
 
 
-Answer = Literal["pass", "conditional_pass", "conditional_fail", "fail", "undecided"]
 ANSWERS: tuple[Answer, ...] = ("pass", "conditional_pass", "conditional_fail", "undecided", "fail")
 """In the order in which the later one decides over the earlier ones, of several figures."""
-Interval = tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """What units are held against (CONTRACT section 2, `/api/limits`); None: nothing is asked of that.
-
-    Attributes:
-        name: what people call it.
-        units: pattern of serial numbers, `*` and `?` as in file names, capitals as they stand.
-        rig: only results of this rig; None for all.
-        max_error_deg: largest error of a calibrated elevation over the range.
-        bias_deg, scale: lowest and highest, as found.
-        rms_deg: RMS of what is left after everything accepted.
-        expanded_uncertainty_deg: largest expanded uncertainty.
-        rule: `simple` or `guarded`.
-        guard: w over U of the guarded rule.
-    """
-
-    name: str
-    units: str = "*"
-    rig: str | None = None
-    max_error_deg: float | None = None
-    bias_deg: Interval | None = None
-    scale: Interval | None = None
-    rms_deg: float | None = None
-    expanded_uncertainty_deg: float | None = None
-    rule: Literal["simple", "guarded"] = "simple"
-    guard: float = 1.0
-
-    @classmethod
-    def from_dict(cls, document: dict[str, Any]) -> Limit:
-        """The limit of a JSON object with these keys."""
-        pairs = {key: tuple(document[key]) for key in ("bias_deg", "scale") if document.get(key) is not None}
-        return cls(**{**document, **pairs})
-
-    def to_dict(self) -> dict[str, Any]:
-        """The limit ready for JSON."""
-        pairs = {
-            key: list(value) for key in ("bias_deg", "scale") if (value := getattr(self, key)) is not None
-        }
-        return {**asdict(self), **pairs}
-
-    @property
-    def rule_in_words(self) -> str:
-        """Such as `guarded rule, w = 1·U`."""
-        return "simple rule" if self.rule == "simple" else f"guarded rule, w = {self.guard:g}·U"
 
 
 def limit_for(limits: Iterable[Limit], unit: str, rig: str | None) -> Limit | None:

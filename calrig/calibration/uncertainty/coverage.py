@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Literal
+
+from calrig.model.result import Distribution
 
 COVERAGE = 0.95
 """The probability that is covered (section 6's `coverage`)."""
 
-Distribution = Literal["rectangular", "normal"]
 
 _AS_GOOD_AS_NORMAL = 1e5
 """Degrees of freedom from which Student's t is taken for normal."""

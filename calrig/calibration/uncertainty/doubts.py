@@ -9,21 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 from calrig.calibration.uncertainty.conformity import deg
+from calrig.model.result import Doubt, Result
 
 Document = Mapping[str, Any]
-
-Kind = Literal[
-    "move_mismatch",  # the unit measured another rotation than the stage reported
-    "missing_poses",  # poses of the plan were not measured
-    "clamping",  # gravity finds the unit at another clamping angle than the plan's
-    "changed",  # bias or scale moved by more than repeatability and remounting explain
-    "unmeasured_position",  # they moved, and the stage has no homing
-    "solution_in_force",  # a less accurate run would replace a joint solution
-    "effects_lost",  # a less accurate run would replace corrections
-]
 
 ZERO_G_DEG = 4.6
 """What an MPU-6050's zero-g output of 80 mg, its largest (PS-MPU-6000A, 6.2), does to an elevation: the bias
@@ -37,19 +28,6 @@ COVERS = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
-    """One reason.
-
-    Attributes:
-        kind: for programs.
-        says: the sentence for people.
-    """
-
-    kind: Kind
-    says: str
-
-
-@dataclass(frozen=True, slots=True)
 class Line:
     """Bias and scale with their standard uncertainties; the scale is None where it is not known."""
 
@@ -59,22 +37,25 @@ class Line:
     scale_std: float
 
     @classmethod
-    def of(cls, result: Document, *, other_stage: bool) -> Line:
+    def of(cls, result: Result, *, other_stage: bool) -> Line:
         """Of a run's result, without accepted effects: as every run can give it.
 
         Args:
             result: CONTRACT section 2's.
             other_stage: whether it is compared with a run on another stage, whose uncertainty is another one.
         """
-        of_stage = (other_stage and result.get("reference")) or {}
-        stds = [
-            math.hypot(result[name] or 0.0, of_stage.get(name) or 0.0)
-            for name in ("bias_std_deg", "scale_std")
-        ]
-        return cls(result["bias_deg"], result["scale"], *stds)
+        of_bias = of_scale = 0.0
+        if other_stage and result.reference is not None:
+            of_bias, of_scale = result.reference.bias_std_deg, result.reference.scale_std or 0.0
+        return cls(
+            result.bias_deg,
+            result.scale,
+            bias_std_deg=math.hypot(result.bias_std_deg or 0.0, of_bias),
+            scale_std=math.hypot(result.scale_std or 0.0, of_scale),
+        )
 
 
-def doubts_of(result: Document, *, move_mismatches: int, verification: bool = False) -> list[Doubt]:
+def doubts_of(result: Result, *, move_mismatches: int, verification: bool = False) -> list[Doubt]:
     """Return the doubts of a run's result.
 
     Args:
@@ -83,10 +64,9 @@ def doubts_of(result: Document, *, move_mismatches: int, verification: bool = Fa
         move_mismatches: moves of the run in which unit and stage disagree.
         verification: whether the result applies an earlier calibration and fits nothing.
     """
-    stored = result.get("doubts")
-    if stored is not None:
-        return [Doubt(**one) for one in stored]
-    clamping = [] if verification else clamping_doubts(result["bias_deg"])
+    if "doubts" in result.model_fields_set:
+        return result.doubts
+    clamping = [] if verification else clamping_doubts(result.bias_deg)
     return [*pose_doubts(result, move_mismatches), *clamping]
 
 
@@ -95,7 +75,7 @@ def to_dicts(doubts: Sequence[Doubt]) -> list[dict[str, str]]:
     return [asdict(one) for one in doubts]
 
 
-def pose_doubts(result: Document, mismatches: int) -> list[Doubt]:
+def pose_doubts(result: Result, mismatches: int) -> list[Doubt]:
     """Return what makes a run's own poses doubtful."""
     found = []
     if mismatches:
@@ -107,8 +87,8 @@ def pose_doubts(result: Document, mismatches: int) -> list[Doubt]:
                 "have lost steps or slipped there, and poses before and after do not belong together.",
             )
         )
-    if result.get("lost_says"):
-        found.append(Doubt("missing_poses", result["lost_says"]))
+    if result.lost_says:
+        found.append(Doubt("missing_poses", result.lost_says))
     return found
 
 

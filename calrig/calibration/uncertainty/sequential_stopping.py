@@ -10,14 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose
 from calrig.calibration.uncertainty.coverage import coverage_factor
-from calrig.plan import FEWEST_UNTIL
-
-StoppedBy = Literal["plan", "until"]
+from calrig.model.plan import FEWEST_UNTIL
+from calrig.model.result import StoppedBy
 
 SPENT = 2
 """Degrees of freedom that looking after each pose costs."""

@@ -20,7 +20,9 @@ from calrig.export.archive import layout
 from calrig.export.archive.layout import COMMENT_BYTES
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import labelled_samples
-from calrig.store import AT_REST, Run, Store
+from calrig.model.base import Model
+from calrig.model.run import AT_REST
+from calrig.store import Run, Store
 from calrig.store.convert import iso_utc
 from calrig.store.issued import Revision
 from calrig.store.records import Document
@@ -226,7 +228,9 @@ class _Contents:
         if run.status not in AT_REST:
             self._left_out.append({"run_id": run.id, "why": f"is {run.status}"})
             return
-        self._saw(run.created_at, run.started_at, run.finished_at, run.voided and run.voided["at"])
+        self._saw(
+            run.created_at, run.started_at, run.finished_at, None if run.voided is None else run.voided.at
+        )
         document, poses, samples = layout.run_names(run.id)
         indices: list[int] = []
         excluded: dict[int, str] = {}
@@ -291,6 +295,8 @@ def _plain(value: Any) -> Any:
     """JSON's own types: times as the API writes them."""
     if isinstance(value, datetime):
         return iso_utc(value)
+    if isinstance(value, Model):
+        return _plain(value.model_dump(exclude_unset=True))  # the keys that were stored
     if isinstance(value, dict):
         return {str(key): _plain(one) for key, one in value.items()}
     return [_plain(one) for one in value] if isinstance(value, list | tuple) else value

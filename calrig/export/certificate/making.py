@@ -11,7 +11,6 @@ from typing import Any
 
 import calrig
 from calrig.calibration.poses import of_first_mount
-from calrig.calibration.uncertainty import Limit
 from calrig.calibration.verdict import IN_WORDS
 from calrig.export.certificate import wording
 from calrig.export.certificate.content import CalibrationItem as ItemSaid
@@ -35,6 +34,7 @@ from calrig.export.certificate.measured import (
 )
 from calrig.export.certificate.results import results_of
 from calrig.laboratory import LaboratorySettings
+from calrig.model.verdict import Limit
 from calrig.store.issued import Revision
 from calrig.store.records import AcceptedEffect, Document, Run, StoredPose
 from calrig.store.trail import Entry

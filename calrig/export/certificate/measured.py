@@ -17,7 +17,6 @@ from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ORIGINS, ApplyError
 from calrig.calibration.results import AppliedEffect, corrected_residuals_deg, numbers_of, raw_error_deg
-from calrig.calibration.uncertainty import Reference, ReferenceFigures
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_document import line_of
 from calrig.export.certificate.content import (
@@ -30,6 +29,7 @@ from calrig.export.certificate.content import (
     Step,
     by_itself,
 )
+from calrig.model.result import Reference, ReferenceFigures
 from calrig.store.records import AcceptedEffect, reference_of
 
 Document = Mapping[str, Any]
@@ -251,7 +251,7 @@ def stated_reference(document: Document) -> Reference | None:
     """What the stage was worth to a calibration document; None where nobody said, or it is solved jointly."""
     by_map = document["uncertainty"].get("reference")
     if by_map is not None:
-        return ReferenceFigures.from_dict(by_map).reference
+        return ReferenceFigures.model_validate(by_map).reference
     if "elevation_std_deg" in document:
         return None
     return reference_of(document["provenance"])

@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from calrig.calibration.uncertainty import Reference, coverage_factor
+from calrig.calibration.uncertainty import coverage_factor
 from calrig.export.certificate.content import DIGITS, Budget, Quantity, Results
 from calrig.export.certificate.measured import Measured, effects_found, stated_reference
+from calrig.model.result import Reference
 from calrig.store.issued import Revision
 from calrig.store.records import AcceptedEffect, Document, Run
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from calrig.calibration.uncertainty import Limit, significant
+from calrig.calibration.uncertainty import significant
 from calrig.export.certificate.content import Row
+from calrig.model.verdict import Limit
 from calrig.store.records import StoredPose
 
 Document = Mapping[str, Any]

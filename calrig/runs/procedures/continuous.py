@@ -42,7 +42,7 @@ from calrig.estimation.turning import (
 from calrig.instruments.axis import Motion
 from calrig.instruments.errors import BoardError, InstrumentError, StageError
 from calrig.instruments.types import Samples
-from calrig.plan import Plan, PlannedPose
+from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop, SampleSegment
 from calrig.runs.mounting import Mount
 from calrig.runs.pose_acquisition import DWELL_TRIES, PoseAcquisition, pose_of, wait_before_sweep

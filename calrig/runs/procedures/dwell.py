@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calrig.plan import Plan, PlannedPose
+from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop
 from calrig.runs.follow_up import FollowUpRun
 from calrig.runs.mounting import Mount, OwnErrors

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calrig.plan import Plan, PlannedPose
+from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop, block_of
 from calrig.runs.mounting import Mount
 

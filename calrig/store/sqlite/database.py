@@ -17,6 +17,7 @@ from sqlalchemy.exc import ArgumentError
 from sqlmodel import Session
 
 from calrig.instruments.cancellation import raise_if_cancelled
+from calrig.model.run import UNFINISHED
 from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database
 from calrig.store.errors import (
@@ -26,7 +27,7 @@ from calrig.store.errors import (
     StoreError,
     StoreUnavailableError,
 )
-from calrig.store.records import UNFINISHED, Size
+from calrig.store.records import Size
 from calrig.store.revisions import revisions
 from calrig.store.sqlite import copying
 from calrig.store.sqlite import file as file_system

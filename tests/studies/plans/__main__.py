@@ -153,8 +153,8 @@ def _rig_row(name: str, made: Designed | None, run: rig_runs.Carried, fixed: rig
     found = run.result
     _say(
         f"| {name} | {len(run.poses)} | {said[0]} | {run.took_s:.1f} | 1/{fixed.took_s / run.took_s:.2f} "
-        f"| {said[1]} | {found['over_range']['expanded_uncertainty_deg']:.4f} "
-        f"| {said[2]} | {found['bias_std_deg']:.4f} | {found['scale_std']:.1e} |"
+        f"| {said[1]} | {found.over_range.expanded_uncertainty_deg:.4f} "
+        f"| {said[2]} | {found.bias_std_deg:.4f} | {found.scale_std:.1e} |"
     )
 
 

@@ -65,8 +65,8 @@ def _one(options: Mapping[str, Any], seed: int) -> Swept:
 
 def _steady(runs: list[Swept]) -> list[str]:
     results = [one.run.result for one in runs if one.run.result is not None]
-    bias = np.array([(r["bias_deg"] - BIAS_DEG, r["bias_std_deg"]) for r in results])
-    scale = np.array([(r["scale"] - 1.0, r["scale_std"]) for r in results])
+    bias = np.array([(r.bias_deg - BIAS_DEG, r.bias_std_deg) for r in results])
+    scale = np.array([(r.scale - 1.0, r.scale_std) for r in results])
     sense = np.array([one.sense_error_deg for one in runs if one.run.result is not None])
     return [
         f"{len(results)} of {len(runs)}",

@@ -1,0 +1,21 @@
+"""What all models share."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Model(BaseModel):
+    """Something that calrig stores, sends and receives; it does not change.
+
+    Keys that are not known are left out, so that an older calrig reads what a newer one wrote. A key that
+    came later than the first release has a default, so that a newer calrig reads what an older one wrote.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="ignore",
+        from_attributes=True,
+        json_schema_extra={"additionalProperties": False},  # an answer has these fields and no others
+        json_schema_serialization_defaults_required=True,
+    )

@@ -1,0 +1,76 @@
+"""A run: its status, how far it is, and everything known of it but its plan and its verdict."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import Field
+
+from calrig.model.base import Model
+from calrig.model.result import Result
+
+Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
+
+UNFINISHED: tuple[Status, ...] = ("queued", "running", "paused")
+"""Some thread of a living program carries the run out."""
+
+TERMINAL: tuple[Status, ...] = ("completed", "failed", "aborted")
+"""Nothing more happens to the run; its finished_at is set."""
+
+AT_REST: tuple[Status, ...] = (*TERMINAL, "interrupted")
+"""Nobody carries the run out: it has ended for good, or was interrupted and can be resumed."""
+
+
+class Mount(Model):
+    """How the unit is to be clamped before a paused run is resumed."""
+
+    mount_deg: float
+    mount_axis: str = Field(description="Which of the unit's axes lies along the stage's.")
+
+
+class Progress(Model):
+    """How far a run is, and what a paused one waits for."""
+
+    poses_done: int
+    poses_total: int
+    fraction: float
+    remaining_s: float | None
+    waiting_for: Mount | None = None  # of runs stored before there was any: null
+
+
+class Voided(Model):
+    """Why and when a run was voided."""
+
+    reason: str
+    at: datetime
+
+
+class Suspect(Model):
+    """The rig was in doubt when the run was made: its check standard failed since it had last passed."""
+
+    reason: str
+    check_run_id: str
+
+
+class Run(Model):
+    """A run (CONTRACT section 2). The store, the API and the client each add its plan and its verdict."""
+
+    id: str
+    unit: str
+    rig: str | None
+    status: Status
+    progress: Progress
+    result: Result | None
+    diagnosis: dict[str, Any] | None
+    faults: dict[str, int]
+    follows: str | None
+    provenance: dict[str, Any]
+    operator: str | None
+    note: str | None
+    voided: Voided | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    error: str | None
+    suspect: Suspect | None = None
