@@ -52,7 +52,7 @@ class RunElsewhere:
 
     def __init__(self, store: Store, run: Run, is_written: Callable[[], bool]) -> None:
         self.id, self.is_over = run.id, False
-        self.status, self.progress = str(run.status), dict(run.progress)
+        self.status, self.progress = str(run.status), run.progress.model_dump()
         self._store, self._seen, self._is_written = store, 0, is_written
 
     def news(self) -> Sequence[Event]:
@@ -73,7 +73,7 @@ class RunElsewhere:
             )
         events = self._store.events_after(self.id, self._seen)
         self._seen = events[-1].seq if events else self._seen
-        self.status, self.progress = str(run.status), dict(run.progress)
+        self.status, self.progress = str(run.status), run.progress.model_dump()
         self.is_over = run.status in AT_REST
         if not events and not self.is_over:
             time.sleep(LOOK_S)

@@ -147,7 +147,7 @@ def test_the_centre_makes_the_result_and_the_revision_by_what_is_in_force_there(
 
     result = centre.run(again).result
     assert result.rms_with_effects_deg is not None
-    assert result.gyro == measured.run.result.gyro.model_dump()
+    assert result.gyro == measured.run.result.gyro
     in_force = centre.store.in_force("A")
     assert (in_force.revision, in_force.run_id) == (2, again)
     assert [one["name"] for one in in_force.document["effects"]] == ["accelerometer_offset"]
