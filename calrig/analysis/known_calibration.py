@@ -16,6 +16,7 @@ from calrig.calibration.uncertainty import (
     position_doubts,
     remount_doubts,
     repeat_doubts,
+    residual_doubts,
 )
 from calrig.model.result import Doubt, Result
 from calrig.store.issued import Revision
@@ -118,6 +119,7 @@ def doubts_about(
         *own,
         *changed,
         *position_doubts(changed, homes=new.homes),
+        *residual_doubts(known.result, result, known.name),
         *clamping_doubts(result.bias_deg, known.result.bias_deg, remount_limit_deg),
         *lost,
     ]

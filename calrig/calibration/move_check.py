@@ -59,6 +59,14 @@ IRREGULAR_MOVES = 4.0
 GYRO_LINEARITY, GYRO_OWN_DEG, GRAVITY_OWN_DEG = 0.002, 0.02, 0.03
 DRIFT_DEG_PER_C, DRIFT_DEG_PER_S = 0.03, 0.0005
 """How far a unit's elevation wanders with temperature, and where that is not known, with time."""
+STILL_DEG = 0.02
+"""A stage that reports a smaller rotation did not turn: the digits of its report, or less than a step."""
+RELAXED_DEG = 0.04
+"""How far a table turns by itself while its stage stands: what relaxes, or creeps."""
+LEARNED_STD = 2.0
+"""A discrepancy beyond so many standard errors counts as one of this size for the irregularity, and as so
+much noisier for the rest: an undetected slip hardly widens the tolerance of later moves (Huber, Robust
+Statistics, 1981, section 7.8)."""
 WHOLE_PLAY_DEG = 1.5
 """A shorter move may leave part of the play: which flank the table lies on is not known after it."""
 
@@ -172,11 +180,12 @@ class MoveWatch:
             self._gravity_holds, self._flank_known = True, False
             return None
         witnesses = self._witnesses(last, now, turned_deg, gyro_std_deg)
-        flank_known = self._note_flank(last, now, turned_deg)
+        still = _stood_still(last, now, turned_deg)
+        flank_known = still or self._note_flank(last, now, turned_deg)
         self._gravity_holds, self._last_turn_deg = True, turned_deg
         if not witnesses:
             return None
-        common = self._irregular[1] / self._irregular[0]
+        common = RELAXED_DEG**2 if still else self._irregular[1] / self._irregular[0]
         if not flank_known:
             common += float(self._mean[PLAY] ** 2 + self._covariance[PLAY, PLAY])
         design = np.array([witness.row for witness in witnesses])
@@ -190,8 +199,10 @@ class MoveWatch:
         difference_deg = variance * float(weights @ left_used)
         verdict = self._verdict(difference_deg, math.sqrt(variance))
         if verdict == "agrees":
-            self._learn(design[used], left_used, innovation_used)
-            self._learn_irregularity(difference_deg, variance, flank_known=flank_known)
+            excess = max(1.0, abs(difference_deg) / (LEARNED_STD * math.sqrt(variance)))
+            self._learn(design[used], left_used, excess**2 * innovation_used)
+            if flank_known and not still:
+                self._learn_irregularity(difference_deg / excess, variance)
         told = {witness.name: turned_deg + float(left[k]) for k, witness in enumerate(witnesses)}
         return MoveCheck(
             turned_deg,
@@ -248,14 +259,19 @@ class MoveWatch:
         covariance = self._covariance - gain @ innovation @ gain.T
         self._covariance = (covariance + covariance.T) / 2
 
-    def _learn_irregularity(self, difference_deg: float, variance: float, *, flank_known: bool) -> None:
+    def _learn_irregularity(self, difference_deg: float, variance: float) -> None:
         """One step of expectation and maximisation: the share of the difference that is the stage's own."""
-        if not flank_known:
-            return
         prior = self._irregular[1] / self._irregular[0]
         share = prior / variance
         self._irregular[0] += 1.0
         self._irregular[1] += (share * difference_deg) ** 2 + prior * (1.0 - share)
+
+
+def _stood_still(last: Pose | None, now: Pose, turned_deg: float) -> bool:
+    """Return whether the stage did not turn, so that neither its play nor its gear can explain a rotation."""
+    if last is None or abs(turned_deg) > STILL_DEG:
+        return False
+    return (last.approach or 0) == (now.approach or 0)
 
 
 def gravity_deg(pose: Pose) -> float:

@@ -20,6 +20,7 @@ DoubtKind = Literal[
     "missing_poses",  # poses of the plan were not measured
     "clamping",  # gravity finds the unit at another clamping angle than the plan's
     "changed",  # bias or scale moved by more than repeatability and remounting explain
+    "residual",  # the residual is far larger than that of the calibration in force
     "unmeasured_position",  # they moved, and the stage has no homing
     "solution_in_force",  # a less accurate run would replace a joint solution
     "effects_lost",  # a less accurate run would replace corrections

@@ -23,6 +23,8 @@ PLANS = {
     "few": Plan(elevations_deg=[-40, 0, 40], sweeps=2),
 }
 SEEDS = range(4)
+BACK_AND_FORTH = Plan(start_deg=-40, stop_deg=40, step_deg=20)
+LONGER = Plan(start_deg=-40, stop_deg=40, step_deg=20, sweeps=6)
 
 
 def uncalibrated(rng):
@@ -115,6 +117,40 @@ def test_five_degrees_lost_in_mid_run_end_it_and_their_size_is_told(seed):
 def test_a_degree_lost_in_mid_run_is_said(seed):
     poses, told, _ = run_with_loss(seed, 1.0)
     assert judged(poses[: told + 1])[-1].verdict in {"mismatch", "lost"}
+
+
+@pytest.mark.parametrize("sense", [-1, 1])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_slip_where_the_stage_stands_is_said(seed, sense):
+    """At a turning point that is measured twice: neither play nor a worm explains what is felt."""
+    rng = np.random.default_rng([seed, 9])
+    when = timeline(BACK_AND_FORTH)
+    pose = int(np.flatnonzero(np.diff(when.target_deg) == 0.0)[-1]) + 1
+    causes = [uncalibrated(rng), losing(sense * 0.6, pose, when)]
+    checks = judged(measure(BACK_AND_FORTH, causes, Noise(), rng).poses[: pose + 1])
+    assert [check.verdict for check in checks] == ["agrees"] * (len(checks) - 1) + ["mismatch"]
+    assert checks[-1].difference_deg == pytest.approx(sense * 0.6, abs=0.2)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_slip_within_a_move_of_a_regular_stage_is_said(seed):
+    """After twelve poses of a stage and a unit without errors but their noise."""
+    rng = np.random.default_rng([seed, 10])
+    cause = losing(0.75, 12, timeline(BACK_AND_FORTH))
+    checks = judged(measure(BACK_AND_FORTH, [cause], Noise(), rng).poses[:13])
+    assert checks[-1].verdict == "mismatch"
+
+
+def test_a_slip_that_goes_unnoticed_does_not_excuse_the_next():
+    """0.4° in the thirteenth move: the tolerance of the same move two sweeps later is hardly wider for it."""
+    std_deg = []
+    for size_deg in (0.0, 0.4):
+        rng = np.random.default_rng(11)
+        cause = losing(size_deg, 12, timeline(LONGER))
+        checks = judged(measure(LONGER, [cause], Noise(), rng).poses)
+        assert {check.verdict for check in checks} == {"agrees"}
+        std_deg.append(checks[22].std_deg)
+    assert std_deg[1] < 1.25 * std_deg[0]
 
 
 def test_two_in_a_row_end_a_run_that_each_alone_would_not():

@@ -8,7 +8,9 @@ import pytest
 from run_rigs import pass_time, plan
 from support import imported, serving
 
+from calrig.plan import Plan
 from calrig.runs.service import RunService
+from calrig.settings import DEMO_RIG
 from calrig.store import Store
 
 THERE_AND_BACK = plan(elevations_deg=[-30, 0, 30])
@@ -16,6 +18,12 @@ LEARNING = [-20, -10, 0, 10, 20, 10, 0, -10, -20, -10, 0, 10, 20, 30, 20, 10, 0]
 OFFSET_DEG = 0.8
 SLIPS_AT_S = 56.0
 """In the move into the fourteenth of these poses."""
+
+SLIPS = {
+    "at a turning point": (plan(elevations_deg=[-40, -20, 0, 20, 40], sweeps=2), 78.5),
+    "within a move": (plan(elevations_deg=[-40, -20, 0, 20, 40], sweeps=4), 108.7),
+}
+"""Plans, and when the mount slips in the second run of each, s: +40° is measured twice without a rotation."""
 
 
 class Lab:
@@ -125,6 +133,20 @@ def clamp_anew(rig, mount_deg):
     pass_time(rig, until_s - rig.now_s)
 
 
+@pytest.mark.parametrize(("chosen", "slips_at_s"), SLIPS.values(), ids=SLIPS)
+def test_a_run_with_a_slip_does_not_displace_a_good_calibration(make_rig, lab, chosen, slips_at_s):
+    rig = make_rig(mount={"slip_deg": 0.6, "slip_at_s": slips_at_s})
+    with lab(rig) as here:
+        good = here.is_in_force(here.run(SLIPS["at a turning point"][0]))
+        slipped = here.run(chosen)
+        here.stays_a_draft(slipped, "residual")
+        if slips_at_s == SLIPS["at a turning point"][1]:
+            here.stays_a_draft(slipped, "move_mismatch")
+        (says,) = (doubt["says"] for doubt in slipped["result"]["doubts"] if doubt["kind"] == "residual")
+        assert f"that of revision {good} in force is 0.012°" in says
+        assert here.in_force() == good
+
+
 @pytest.mark.parametrize("release", ["auto", "pass"])
 def test_a_slip_that_was_noticed_is_released_by_nobody_but_a_person_with_a_reason(make_rig, lab, release):
     rig = make_rig(mount={"slip_deg": 0.6, "slip_at_s": SLIPS_AT_S})
@@ -199,6 +221,16 @@ def test_good_units_of_a_queue_that_are_clamped_anew_are_released_by_themselves(
                 clamp_anew(rig, 0.0)
                 here.unit = f"queue-{unit}"
                 here.is_in_force(here.run())
+
+
+def test_runs_of_a_rig_with_four_effects_are_released_by_themselves(make_rig, lab):
+    """The first of the README's flow, then a narrow one, a wide one and one from one side."""
+    rig = make_rig(**DEMO_RIG.simulated)
+    with lab(rig) as here:
+        for chosen in (Plan(), *(chosen for chosen, _ in SLIPS.values()), Plan(sweeps=1), Plan()):
+            run = here.run(chosen)
+            assert run["verdict"]["left"] == "more_than_noise"
+            here.is_in_force(run)
 
 
 def test_repeats_of_a_unit_that_stayed_in_its_clamp_do_not_tell_what_remounting_adds(make_rig, lab):

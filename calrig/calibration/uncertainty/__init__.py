@@ -20,6 +20,7 @@ from calrig.calibration.uncertainty.doubts import (
     position_doubts,
     remount_doubts,
     repeat_doubts,
+    residual_doubts,
     to_dicts,
 )
 from calrig.calibration.uncertainty.sequential_stopping import (
@@ -48,6 +49,7 @@ __all__ = [
     "reference_figures",
     "remount_doubts",
     "repeat_doubts",
+    "residual_doubts",
     "significant",
     "to_dicts",
     "turned_both_ways",

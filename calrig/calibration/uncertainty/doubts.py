@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from calrig.calibration.uncertainty.conformity import deg
 from calrig.model.result import Doubt, Result
@@ -25,6 +25,13 @@ STAYS_A_DRAFT = "So its calibration is not released by itself: a person decides,
 """What a verdict says after its doubts."""
 COVERS = 2.0
 """Standard uncertainties that are added to `remount_limit_deg`."""
+RESIDUAL_FACTOR = 3.0
+"""By how much a residual must exceed the one in force, and the reading noise, to be doubted."""
+COUNT_DEG = 0.0035
+"""One count of an MPU-6050's accelerometer at ±2 g, 1/16384 g (PS-MPU-6000A, 6.2): no residual is expected
+smaller."""
+RESIDUAL_P = 1e-4
+"""How rarely chance may raise a residual that is doubted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,16 +131,17 @@ def remount_doubts(
         before: of the calibration in force.
         now: of the new one.
         range_deg: its lowest and highest elevation: there the two lines differ most.
-        remount_limit_deg: what remounting may add; `COVERS` standard uncertainties come on top.
+        remount_limit_deg: what remounting may add; `COVERS` standard uncertainties come on top. The new
+            calibration adds no larger ones than the one in force: its own scatter may be what is wrong.
         against: names the calibration in force, for the sentence.
     """
     scale = 0.0 if before.scale is None or now.scale is None else now.scale - before.scale
     apart_deg = [now.bias_deg - before.bias_deg + scale * end for end in range_deg]
     most_deg = max(apart_deg, key=abs)
     reach_deg = max(abs(end) for end in range_deg)
-    std_deg = math.hypot(
-        before.bias_std_deg, now.bias_std_deg, reach_deg * math.hypot(before.scale_std, now.scale_std)
-    )
+    bias_std_deg = math.hypot(before.bias_std_deg, min(before.bias_std_deg, now.bias_std_deg))
+    scale_std = math.hypot(before.scale_std, min(before.scale_std, now.scale_std))
+    std_deg = math.hypot(bias_std_deg, reach_deg * scale_std)
     if abs(most_deg) <= remount_limit_deg + COVERS * std_deg:
         return []
     return [
@@ -143,6 +151,55 @@ def remount_doubts(
             f"{remount_limit_deg + COVERS * std_deg:.2f}° at most (remount_limit_deg).".replace("-", "−"),
         )
     ]
+
+
+def residual_doubts(before: Result, now: Result, against: str) -> list[Doubt]:
+    """Return whether a run's residual is far larger than that of the run in force.
+
+    Compare the standard deviations about each run's own line, with the reading noise and `COUNT_DEG` as the
+    smallest one expected. Their ratio must exceed `RESIDUAL_FACTOR` and, squared, the quantile of F at
+    `RESIDUAL_P` (Draper & Smith, Applied Regression Analysis, 1998, section 2.1).
+
+    Args:
+        before: result of the run in force, CONTRACT section 2.
+        now: result of the new run.
+        against: names the calibration in force, for the sentence.
+    """
+    then, new = _residual(before), _residual(now)
+    if then is None or new is None:
+        return []
+    expected_deg = max(then.std_deg, before.noise_deg or 0.0, now.noise_deg or 0.0, COUNT_DEG)
+    if new.std_deg <= RESIDUAL_FACTOR * expected_deg:
+        return []
+    from scipy.special import fdtrc
+
+    if fdtrc(new.freedom, then.freedom, (new.std_deg / expected_deg) ** 2) > RESIDUAL_P:
+        return []
+    return [
+        Doubt(
+            "residual",
+            f"The residual RMS is {deg(new.rms_deg)}; that of {against} is "
+            f"{deg(then.rms_deg)}. Neither chance nor reading noise explains the difference: "
+            "the unit may have slipped in its clamp, or the stage may have lost steps.",
+        )
+    ]
+
+
+class _Residual(NamedTuple):
+    """RMS and standard deviation of the poses about a run's line, and its degrees of freedom."""
+
+    rms_deg: float
+    std_deg: float
+    freedom: int
+
+
+def _residual(result: Result) -> _Residual | None:
+    """Of a run's bias and scale without effects; None where no pose is left over to tell."""
+    rms_deg, fitted = result.rms_calibrated_deg, 1 if result.scale is None else 2
+    freedom = result.n_poses - fitted
+    if rms_deg is None or freedom < 1:
+        return None
+    return _Residual(rms_deg, rms_deg * math.sqrt(result.n_poses / freedom), freedom)
 
 
 def repeat_doubts(difference: str, against: str) -> list[Doubt]:
