@@ -62,7 +62,7 @@ class RunElsewhere:
             WorkError: nobody carries it out any more.
         """
         from calrig.analysis.stored_runs import stored_run
-        from calrig.store import AT_REST
+        from calrig.model.run import AT_REST
 
         is_written = self._is_written()  # before the run is read: who has ended it may be gone
         run = stored_run(self._store, self.id)

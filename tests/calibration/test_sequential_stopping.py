@@ -9,7 +9,7 @@ from scipy import stats
 
 from calrig.calibration.line import Line
 from calrig.calibration.uncertainty.sequential_stopping import cautious
-from calrig.plan import FEWEST_UNTIL
+from calrig.model.plan import FEWEST_UNTIL
 
 RUNS, MOST_POSES = 40_000, 25
 COVERED = 0.945

@@ -179,7 +179,7 @@ def test_a_piece_tells_when_it_begins_and_how_far_it_is() -> None:
 
 def test_what_is_carried_out_apart_loads_no_database() -> None:
     """Its libraries take longer to load than most pieces take."""
-    pieces = "imported, joint_solutions, log_studies, unresolved"
+    pieces = "imports, noise_studies, solutions, stored_runs"
     look = "[name for name in ('sqlalchemy', 'fastapi') if name in sys.modules]"
     command = f"import sys; from calrig.analysis import {pieces}; print({look})"
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)

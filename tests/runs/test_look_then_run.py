@@ -10,8 +10,8 @@ from support import FAST
 
 from calrig.instruments.drivers import may_stay_open
 from calrig.instruments.transcript import read_transcript
+from calrig.model.run import TERMINAL
 from calrig.runs.service import RunService
-from calrig.store.records import TERMINAL
 
 BOOT_S = 1.5
 

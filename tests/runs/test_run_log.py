@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 from run_rigs import CLOCK, TruthRig, events, plan, states
 
+from calrig.model.run import AT_REST
 from calrig.runs.service import RunService
-from calrig.store import AT_REST, Event, Run, Store
+from calrig.store import Event, Run, Store
 
 
 @pytest.fixture(scope="module")

@@ -217,7 +217,7 @@ def test_passes_that_are_never_even_end_the_run_with_those_before_if_both_senses
         return
     assert (ended.status, ended.error) == ("completed", None)
     done = ended.progress
-    assert (done["poses_done"], done["poses_total"], done["fraction"]) == (n_whole, n_whole, 1.0)
+    assert (done.poses_done, done.poses_total, done.fraction) == (n_whole, n_whole, 1.0)
     assert ended.result is not None and ended.result.bias_deg == pytest.approx(0.8, abs=0.01)
     assert ended.verdict is not None
     (said,) = [one for one in ended.verdict.says if "after 2 of 3 passes" in one]
