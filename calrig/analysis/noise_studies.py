@@ -20,11 +20,11 @@ from calrig.analysis.stored_runs import stored_run
 from calrig.estimation.angles import FloatArray
 from calrig.export.samples_csv import COLUMNS, sample_columns
 from calrig.export.static_csv import read_static
-from calrig.store import Run, Store
-from calrig.store.records import Document
+from calrig.store.records import Document, Run
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a process for heavy work loads no database
     from calrig.noise.filters import FilterStudy
+    from calrig.store import Store
 
 
 Study = Literal["noise", "filters"]
