@@ -176,7 +176,7 @@ def test_a_person_chooses_which_accepted_effects_enter(lab):
 
 
 def test_a_voided_run_gives_way_to_the_latest_that_counts_and_else_stays_in_force_stale(lab):
-    first, second = lab.imports(), lab.imports(content=CSV.replace(b"20", b"30"))
+    first, second = lab.imports(), lab.imports(content=CSV.replace(b",20\n", b",21\n"))
     lab.records.void(second.id, "wrong clamp")
     in_force = lab.store.in_force("A")
     assert (in_force.run_id, in_force.reason) == (first.id, f"run {second.id} was voided: wrong clamp")
