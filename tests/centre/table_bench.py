@@ -182,6 +182,10 @@ def _packed(store: Store, run_id: str, events_each: int, epoch: int) -> Iterator
     run = store.run(run_id)
     assert run is not None
     told = {name: getattr(run, name) for name in KNOWN}
+    told |= {
+        "progress": run.progress.model_dump(mode="json"),
+        "result": None if run.result is None else run.result.to_dict(),
+    }
     told |= {name: None if (at := getattr(run, name)) is None else at.isoformat() for name in TIMES}
     poses = {one.index: packed_row(one.index, one.pose, one.excluded) for one in store.poses(run_id)}
     now = datetime.now(UTC).isoformat()
