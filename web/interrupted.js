@@ -2,7 +2,6 @@
 
 import { h } from "./dom.js";
 import { fixed, isKnown, moment, plural } from "./format.js";
-import { placeField } from "./stageplace.js";
 
 /** A line for each time the run was resumed. */
 export function interruptions(run) {
@@ -26,12 +25,9 @@ function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, diff
   return `repeated pose at ${fixed(target_deg, 1, "°")}: ${difference}${chance}`;
 }
 
-/** Buttons for a run that lies interrupted; `ask(verb, body)` posts resume or abort. */
-export function wayOn(run, ask) {
-  const place = run.provenance?.stage?.homes === false ? placeField() : null;
-  const resumed = () => (place ? { stage_at_deg: place.value() } : {});
-  const click = (verb) => () => ask(verb, verb === "resume" ? resumed() : {});
-  const button = (id, verb, text) => h("button", { id, type: "button", on: { click: click(verb) } }, text);
+/** Buttons for a run that lies interrupted; `ask(verb)` posts resume or abort, `place` is a `placeField`. */
+export function wayOn(run, place, ask) {
+  const button = (id, verb, text) => h("button", { id, type: "button", on: { click: () => ask(verb) } }, text);
   if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, button("go-held", "resume", "Go"));
   if (run.status !== "interrupted") return null;
   return h(
@@ -43,7 +39,7 @@ export function wayOn(run, ask) {
       "Every measured pose is kept. Leave unit and stage as they are and resume the run: the last pose is " +
         "measured again to check that nothing has moved.",
     ),
-    place && [
+    hasNoHoming(run) && [
       h(
         "p",
         { id: "stage-at-why", class: "muted" },
@@ -60,4 +56,9 @@ export function wayOn(run, ask) {
       h("p", { id: "going-on", class: "muted", role: "status" }),
     ),
   );
+}
+
+/** Whether somebody may have to say where the stage of a run stands. */
+export function hasNoHoming(run) {
+  return run.provenance?.stage?.homes === false;
 }
