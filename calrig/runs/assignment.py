@@ -138,7 +138,7 @@ class NewRun:
         return wanted
 
     def columns(self, n_poses: int) -> dict[str, Any]:
-        """As `Store.runs.create` and `Store.orders.create` take it; n_poses are those that it has to measure."""
+        """Arguments of `Runs.create` and `Orders.create`; n_poses: number of poses to measure."""
         return {
             "unit": self.unit,
             "plan": self.plan.model_dump(mode="json"),

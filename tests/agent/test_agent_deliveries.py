@@ -11,7 +11,7 @@ from support import QUICK, wait_for
 from calrig.agent.link import LinkDown
 from calrig.plan import Plan
 from calrig.store import Store
-from calrig.store.parcels import EVENTS_A_PARCEL
+from calrig.store.parcels import EVENTS_A_PARCEL, Spool
 
 
 def once_in_order(events: list[dict]) -> bool:
