@@ -85,6 +85,6 @@ def ran(
         fit = build_result(poses).to_dict()
         result |= {key: fit[key] for key in ("bias_deg", "bias_std_deg", "scale", "scale_std")}
     (run_id,) = lay(store, (unit, day, result, columns))
-    run = store.run(run_id)
+    run = store.runs.get(run_id)
     assert run is not None
     return run

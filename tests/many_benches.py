@@ -78,7 +78,7 @@ class ManyBenches:
 
     def order(self, rig: str, unit: str, **plan: Any) -> Run:
         """A run that waits for the rig."""
-        return self.store.order_run(
+        return self.store.orders.create(
             bench=self.rigs[rig],
             rig=rig,
             unit=unit,
@@ -101,7 +101,7 @@ class ManyBenches:
             "remaining_s": remaining_s,
             **more,
         }
-        self.store.update_run(run.id, status="running", progress=progress)  # type: ignore[arg-type]
+        self.store.runs.update(run.id, status="running", progress=progress)  # type: ignore[arg-type]
 
     def busy(self, rig: str, unit: str, poses_done: int = 0, remaining_s: float | None = None) -> Run:
         """A run that goes on."""
@@ -113,12 +113,12 @@ class ManyBenches:
         """A run that is paused until the unit was clamped anew."""
         run = self.order(rig, unit)
         self.begin(run, 26, 90.0, waiting_for={"mount_deg": mount_deg, "mount_axis": "x"})
-        return self.store.update_run(run.id, status="paused")
+        return self.store.runs.update(run.id, status="paused")
 
     def ended(self, rig: str, unit: str, status: str, error: str | None = None) -> Run:
         """A run that is over."""
         run = self.busy(rig, unit, 12)
-        return self.store.update_run(run.id, status=status, error=error)  # type: ignore[arg-type]
+        return self.store.runs.update(run.id, status=status, error=error)  # type: ignore[arg-type]
 
     def since(self, run: Run, days: float) -> None:
         """Has a run that is over be so many days old."""
@@ -172,9 +172,9 @@ def a_day_in_the_halls(benches: ManyBenches) -> None:
     benches.says("rig-24", "unreachable")
     checked = benches.ended("rig-25", "CHECK-1", "completed")
     benches.since(checked, 45)
-    benches.store.name_check_unit("rig-25", "CHECK-1", 30)
+    benches.store.check_standards.name("rig-25", "CHECK-1", 30)
     benches.check_units_named(40)
-    benches.store.name_check_unit("rig-26", "CHECK-1", 30)
+    benches.store.check_standards.name("rig-26", "CHECK-1", 30)
     benches.busy("rig-31", "AS-1031", poses_done=20, remaining_s=240.0)
     oldest = (datetime.now(UTC) - timedelta(hours=2.5)).isoformat()
     benches.beat("bench-7", ago_s=9000, outbox={"parcels": 18, "oldest_at": oldest})

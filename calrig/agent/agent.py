@@ -91,7 +91,7 @@ class Heartbeat:
 
     def said(self) -> dict[str, Any]:
         """What the bench says of itself."""
-        service, outbox = self._service, self._service.store.outbox()
+        service, outbox = self._service, self._service.store.spool.outbox()
         looks = service.looks()
         return {
             "rigs": [
@@ -134,7 +134,7 @@ class LinkCounts(Collector):
             "calrig_lease_losses", "How often the centre did not answer in time.", self._lease.losses
         )
         try:
-            outbox = self._store.outbox()
+            outbox = self._store.spool.outbox()
         except StoreError:
             return
         oldest_at = outbox.oldest_at

@@ -169,10 +169,10 @@ class RigOrders:
             self._begin(order.run_id, wish, document)
         except (RunsError, ValueError, KeyError, TypeError) as error:
             self._could_not(order.run_id, document, error)
-        self._store.take_order(order.run_id, order.epoch, document)
+        self._store.spool.take_order(order.run_id, order.epoch, document)
 
     def _begin(self, run_id: str, wish: str, document: Document) -> None:
-        if self._store.run(run_id) is not None:
+        if self._store.runs.get(run_id) is not None:
             said_deg = document.get("stage_at_deg") if wish == "resume" else None
             self._service.resume(run_id, said_deg)
         elif wish == "resume":
@@ -185,7 +185,7 @@ class RigOrders:
         said = str(error) if isinstance(error, RunsError) else f"the order cannot be read: {error!r}"
         log.warning("run %s was not begun: %s", run_id, said)
         status: Status = "interrupted" if isinstance(error, Conflict) else "failed"
-        run = self._store.run(run_id)
+        run = self._store.runs.get(run_id)
         if run is None:
             self._keep(run_id, document)
         elif run.status != "interrupted":
@@ -198,7 +198,7 @@ class RigOrders:
         """Orders that were taken, and of which the spool does not know: what became of them is in doubt."""
         with self._link.centre() as centre:
             ordered = epochs_taken(centre, self._rig.name)
-        known = self._store.taken_epochs()
+        known = self._store.spool.taken_epochs()
         for run_id, epoch in ordered.items():
             if known.get(run_id, 0) < epoch:
                 with self._link.centre() as centre:
@@ -206,17 +206,17 @@ class RigOrders:
                 self._leave_interrupted(run_id, epoch, document)
 
     def _leave_interrupted(self, run_id: str, epoch: int, document: Document) -> None:
-        run = self._store.run(run_id)
+        run = self._store.runs.get(run_id)
         if run is None:
             self._keep(run_id, document)
         if run is None or run.status == "interrupted":
             log.warning("run %s: %s", run_id, DOUBT)
             self._end(run_id, "interrupted", DOUBT)
-        self._store.take_order(run_id, epoch, document)
+        self._store.spool.take_order(run_id, epoch, document)
 
     def _keep(self, run_id: str, document: Document) -> None:
         """Stores a run that is not carried out, as far as its order can be read."""
-        self._store.create_run(
+        self._store.runs.create(
             unit=document["unit"],
             rig=self._rig.name,
             plan=document["plan"],
@@ -229,5 +229,5 @@ class RigOrders:
         )
 
     def _end(self, run_id: str, status: Status, error: str) -> None:
-        self._store.update_run(run_id, status=status, error=error)
+        self._store.runs.update(run_id, status=status, error=error)
         self._service.bus.wake(run_id)

@@ -81,7 +81,7 @@ class Outbox:
                     for seq, one in enumerate(parcels, start=newest + 1)
                 ]
                 centre.connection.cursor().executemany(_INSERT, rows)
-            self._store.delivered(parcels)
+            self._store.spool.mark_delivered(parcels)
             n += len(parcels)
         return n
 
@@ -89,7 +89,7 @@ class Outbox:
         """The next pieces of all runs, as many together as are sent in one transaction."""
         load: list[Parcel] = []
         n_bytes = 0
-        for run_id in self._store.undelivered():
+        for run_id in self._store.spool.undelivered():
             parcels = self._next_of(run_id)
             load += parcels
             n_bytes += sum(len(one.data or b"") for one in parcels)
@@ -102,7 +102,7 @@ class Outbox:
     def _next_of(self, run_id: str) -> Sequence[Parcel]:
         """A run that cannot be read any more keeps no other one from being delivered."""
         try:
-            return self._store.next_parcels(run_id)
+            return self._store.spool.next_parcels(run_id)
         except StoreDamagedError as error:
             if run_id not in self._unreadable:
                 log.error("run %s cannot be delivered: %s", run_id, error)

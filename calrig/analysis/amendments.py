@@ -59,13 +59,13 @@ class Records:
             Invalid: the serial is out of bounds.
         """
         check_serial(unit)
-        return partial(read_and_fit, content, unit, rig, self._store.effects_in_force(unit, rig))
+        return partial(read_and_fit, content, unit, rig, self._store.effects.in_force(unit, rig))
 
     def keep_imported(
         self, imported: Imported, *, unit: str, rig: str | None, file_name: str, operator: str | None
     ) -> Run:
         """Makes a completed run of what was read; all of it is stored, or nothing."""
-        return self._store.create_run(
+        return self._store.runs.create(
             who=operator,
             unit=unit,
             rig=rig,
@@ -87,14 +87,14 @@ class Records:
         """Takes an ended run out of every comparison; it stays, with the reason."""
         ended_run(self._store, run_id)
         why = checked_reason(reason)
-        run = self._store.void_run(run_id, why, who=who)
+        run = self._store.amendments.void(run_id, why, who=who)
         return self._done(run, who, f"run {run_id} was voided: {why}")
 
     def unvoid(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
         """Has a voided run count again."""
         stored_run(self._store, run_id)
         why = checked_reason(reason)
-        run = self._store.unvoid_run(run_id, why, who=who)
+        run = self._store.amendments.unvoid(run_id, why, who=who)
         return self._done(run, who, f"run {run_id} counts again: {why}")
 
     def note(self, run_id: str, note: str, *, who: str | None = None) -> Run:
@@ -105,7 +105,7 @@ class Records:
         n = len(run.note or "") + len(note)
         if n > MOST_NOTES:
             raise Invalid(f"the notes of run {run_id} would have {n} characters, and {MOST_NOTES} are kept")
-        return self._store.note_run(run_id, note.strip(), who=who)
+        return self._store.amendments.add_note(run_id, note.strip(), who=who)
 
     def move(self, run_id: str, unit: str, reason: str, *, who: str | None = None) -> Run:
         """Gives a run to the unit it is of, where its serial number was wrong.
@@ -123,11 +123,13 @@ class Records:
         run, why = ended_run(self._store, run_id), checked_reason(reason)
         if run.unit == unit:
             raise Conflict(f"run {run_id} is of unit {unit!r} already")
-        of_unit, _ = self._store.runs(unit=run.unit, limit=2**31)
+        of_unit, _ = self._store.runs.page(unit=run.unit, limit=2**31)
         moving = [ended_run(self._store, one) for one in _chain(run_id, of_unit)]
         for one in moving:
             _check_movable(one, {m.id for m in moving}, of_unit)
-        self._store.move_runs({one.id: self._result_for(one, unit) for one in moving}, unit, why, who=who)
+        self._store.amendments.move(
+            {one.id: self._result_for(one, unit) for one in moving}, unit, why, who=who
+        )
         for one in moving:
             said = f"run {one.id} was moved from unit {one.unit} to unit {unit}: {why}"
             self._done(one, who, said)
@@ -144,7 +146,7 @@ class Records:
         """Takes one pose out of an ended run's result, which is computed again; the pose stays."""
         result = self._result_of(run_id, index, counts=False)
         why = checked_reason(reason)
-        run = self._store.exclude_pose(run_id, index, why, result=result, who=who)
+        run = self._store.amendments.exclude_pose(run_id, index, why, result=result, who=who)
         return self._done(run, who, f"pose {index} of run {run_id} was excluded: {why}")
 
     def include_pose(
@@ -153,14 +155,14 @@ class Records:
         """Has an excluded pose count again in the result, which is computed again."""
         result = self._result_of(run_id, index, counts=True)
         why = None if reason is None else checked_reason(reason)
-        run = self._store.include_pose(run_id, index, why, result=result, who=who)
+        run = self._store.amendments.include_pose(run_id, index, why, result=result, who=who)
         said = f"pose {index} of run {run_id} counts again"
         return self._done(run, who, said if why is None else f"{said}: {why}")
 
     def _result_of(self, run_id: str, index: int, *, counts: bool) -> Document | None:
         """The result of an ended run once one of its poses counts, or does not."""
         run = ended_run(self._store, run_id)
-        poses = self._store.poses(run_id)
+        poses = self._store.poses.of(run_id)
         if index not in {stored.index for stored in poses}:
             raise Unknown(f"run {run_id} has no pose {index}")
         if run.result is None:

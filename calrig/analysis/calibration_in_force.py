@@ -131,15 +131,15 @@ def wanted_revision(store: Store, serial: str, wanted: Wanted = None) -> Revisio
     Raises:
         Unknown: the unit is not known, or has none such.
     """
-    if store.unit(serial) is None:
+    if store.units.get(serial) is None:
         raise Unknown(f"there is no unit {serial!r}")
     if wanted == "latest":
-        found = next((one for one in store.revisions(serial) if one.status != "withdrawn"), None)
+        found = next((one for one in store.revisions.of(serial) if one.status != "withdrawn"), None)
         none = f"unit {serial!r} has no calibration: none was completed, or all were withdrawn"
     elif wanted is None:
-        found, none = store.in_force(serial), f"unit {serial!r} has no calibration in force"
+        found, none = store.revisions.in_force(serial), f"unit {serial!r} has no calibration in force"
     else:
-        found, none = store.revision(serial, wanted), f"unit {serial!r} has no revision {wanted}"
+        found, none = store.revisions.get(serial, wanted), f"unit {serial!r} has no revision {wanted}"
     if found is None:
         raise Unknown(none)
     return found
@@ -153,7 +153,7 @@ def newest_of_run(store: Store, run_id: str) -> Revision:
         Conflict: it gave none.
     """
     run = stored_run(store, run_id)
-    for one in store.revisions(run.unit):
+    for one in store.revisions.of(run.unit):
         if one.run_id == run.id:
             return one
     why = why_none(run) or why_not_now(run) or "has no revision yet"
@@ -224,13 +224,13 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
     Raises:
         Conflict: the unit has none such.
     """
-    found = store.in_force(unit) if number is None else store.revision(unit, number)
+    found = store.revisions.in_force(unit) if number is None else store.revisions.get(unit, number)
     if found is None:
         which = "calibration in force" if number is None else f"revision {number}"
         raise Conflict(f"unit {unit!r} has no {which} to verify: calibrate it first")
     document = found.document
     of_unit = [(e["name"], numbers_of(e["parameters"])) for e in document["effects"]]
-    of_rig = as_applied([e for e in store.effects_in_force(unit, rig) if e.unit is None])
+    of_rig = as_applied([e for e in store.effects.in_force(unit, rig) if e.unit is None])
     reference = _reference(document)
     solved = "solution" in document["provenance"] and not document["level_known"]
     line = line_of(document)
@@ -261,6 +261,6 @@ def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[flo
     and scale. None throughout before there is a result.
     """
     number = run.provenance.get("verifies_revision")
-    if number is None or store.revision(run.unit, number) is None:
+    if number is None or store.revisions.get(run.unit, number) is None:
         return pose_residuals_deg(run, poses)
     return active_calibration(store, run.unit, run.rig, number).left_deg(poses)

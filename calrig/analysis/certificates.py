@@ -55,21 +55,21 @@ def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings
             limit=_limit(store, revision),
             entries=entries,
             gone=_gone(store, revision, run),
-            item=store.item(revision.unit, (run.finished_at or run.created_at).date()),
+            item=store.items.of(revision.unit, (run.finished_at or run.created_at).date()),
         )
     )
 
 
 def _poses(store: Store, revision: Revision, run: Run) -> list[StoredPose]:
     """All of its run, as the joint solution has them where it is by one."""
-    poses, solution = store.poses(run.id), revision.basis.get("solution")
-    return poses if solution is None else solved_poses(store.solution(solution), run, poses)
+    poses, solution = store.poses.of(run.id), revision.basis.get("solution")
+    return poses if solution is None else solved_poses(store.solutions.get(solution), run, poses)
 
 
 def _gone(store: Store, revision: Revision, run: Run) -> list[str]:
     """What it rests on that counts no more, a sentence each."""
     if (solution := revision.basis.get("solution")) is not None:
-        return solution_changes(store, store.solution(solution))
+        return solution_changes(store, store.solutions.get(solution))
     gone = gone_since(run, revision.unit)
     return [] if gone is None else [gone]
 
@@ -77,7 +77,7 @@ def _gone(store: Store, revision: Revision, run: Run) -> list[str]:
 def _entries(store: Store, revision: Revision) -> list[Entry]:
     """Of the trail, what was done with this revision; the oldest first."""
     what: tuple[What, ...] = ("drafted", "released", "withdrawn")
-    of_unit = store.trail(unit=revision.unit, what=what, limit=EVERY_ENTRY)
+    of_unit = store.trail.entries(unit=revision.unit, what=what, limit=EVERY_ENTRY)
     return [one for one in of_unit if (one.act.unit, one.act.revision) == (revision.unit, revision.revision)]
 
 
@@ -85,10 +85,10 @@ def _before(store: Store, revision: Revision, entries: Sequence[Entry]) -> Revis
     """The revision that was in force until this one first was; of a draft, the one that is in force now."""
     first = next((one for one in entries if one.act.what == "released"), None)
     if first is None:
-        in_force = store.in_force(revision.unit) if revision.status == "draft" else None
+        in_force = store.revisions.in_force(revision.unit) if revision.status == "draft" else None
         return None if in_force is None or in_force.revision == revision.revision else in_force
     number = first.act.detail.get("supersedes")
-    return None if number is None else store.revision(revision.unit, number)
+    return None if number is None else store.revisions.get(revision.unit, number)
 
 
 def _came_with(store: Store, revision: Revision, before: Revision | None) -> Revision | None:
@@ -102,7 +102,7 @@ def _came_with(store: Store, revision: Revision, before: Revision | None) -> Rev
 
 def _of_stage(store: Store, revision: Revision) -> list[AcceptedEffect]:
     """The rig's effects that it rests on, also those that were taken back since."""
-    used = store.accepted_effects([int(number) for number in revision.basis["effects"]])
+    used = store.effects.by_id([int(number) for number in revision.basis["effects"]])
     return [effect for effect in used if effect.unit is None]
 
 
@@ -117,11 +117,13 @@ def _limit(store: Store, revision: Revision) -> Limit | None:
 
 def _limits_at(store: Store, when: datetime) -> list[Limit]:
     """The limits as the trail has them of a time; those of today, where nobody ever changed them."""
-    changes = store.trail(what=["limits_changed"], limit=EVERY_ENTRY)
+    changes = store.trail.entries(what=["limits_changed"], limit=EVERY_ENTRY)
     before = [one for one in changes if one.at <= when]
     if before:
         return [Limit.from_dict(one) for one in before[-1].act.detail["now"]]
-    return [Limit.from_dict(one) for one in changes[0].act.detail["before"]] if changes else store.limits()
+    return (
+        [Limit.from_dict(one) for one in changes[0].act.detail["before"]] if changes else store.limits.all()
+    )
 
 
 def certificate_dcc(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
@@ -176,7 +178,7 @@ def archive_of(store: Store, serial: str, laboratory: LaboratorySettings) -> Ite
     Raises:
         Unknown: there is no such unit; at once.
     """
-    if store.unit(serial) is None:
+    if store.units.get(serial) is None:
         raise Unknown(f"there is no unit {serial!r}")
     unsigned = laboratory.model_copy(update={"signing_key": None, "signing_certificate": None})
 

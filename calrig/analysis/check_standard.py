@@ -59,7 +59,7 @@ class Suspects:
 
 def suspects(store: Store, found: Histories | None = None) -> Suspects:
     """Of all rigs that have a check unit."""
-    named = store.check_units()
+    named = store.check_standards.all()
     if not named:
         return Suspects({})
     found = histories(store) if found is None else found
@@ -191,7 +191,7 @@ def check_chart(store: Store, rig: str) -> tuple[list[datetime], dict[str, list[
 
 
 def _named(store: Store, rig: str) -> CheckUnit:
-    named = store.check_unit(rig)
+    named = store.check_standards.of(rig)
     if named is None:
         raise Unknown(f"rig {rig!r} has no check unit: name one with PUT, or on the rig's page")
     return named

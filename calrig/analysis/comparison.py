@@ -43,12 +43,12 @@ def compared_runs(store: Store, serials: Sequence[str] | None, found: Histories)
     Raises:
         Unknown: there is no such unit.
     """
-    known = dict.fromkeys(unit.serial for unit in store.units(serials))
+    known = dict.fromkeys(unit.serial for unit in store.units.all(serials))
     for serial in serials or ():
         if serial not in known:
             raise Unknown(f"there is no unit {serial!r}")
     units: dict[str, list[Row]] = {serial: [] for serial in serials or known}
-    effects = store.effect_names()
+    effects = store.effects.names_by_unit()
     in_doubt = suspects(store, found)
     for row in found.rows:
         if row.unit in units:

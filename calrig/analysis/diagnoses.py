@@ -59,7 +59,7 @@ class Diagnoses:
     def keep(self, run_id: str, found: dict[str, Any]) -> dict[str, Any]:
         """Keeps the answer with the run."""
         _keep_accepted(stored_run(self._store, run_id).diagnosis, found)
-        self._store.update_run(run_id, diagnosis=found)
+        self._store.runs.update(run_id, diagnosis=found)
         return found
 
     def last(self, run_id: str) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class Diagnoses:
         run, found = stored_run(self._store, run_id), self.last(run_id)
         runs = [counted_poses(self._store, earlier) for earlier in found["runs"][:-1]]
         decided_on = _decided_on(run) if runs else None
-        latest = self._store.poses(run_id, include_excluded=False)
+        latest = self._store.poses.of(run_id, include_excluded=False)
         runs.append([s.pose for s in latest if decided_on is None or s.index in decided_on])
         try:
             return partial_residuals(runs, found["effects"], found["runs"])
@@ -91,7 +91,7 @@ class Diagnoses:
         decided_on = _decided_on(run)
         if decided_on is None:
             return None
-        counting = self._store.poses(run.id, include_excluded=False)
+        counting = self._store.poses.of(run.id, include_excluded=False)
         return [place for place, stored in enumerate(counting) if stored.index in decided_on]
 
 
@@ -134,7 +134,7 @@ class Acceptance:
                 listed = ", ".join(known) or "none"
                 raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
             accepted.append(_accepted(run, known[name]))
-        self._store.accept_effects(run_id, accepted, who=who)
+        self._store.effects.accept(run_id, accepted, who=who)
         return self._refitted(run_id, who, f"accepted from run {run_id}: {_listed(names)}")
 
     def take_back(self, run_id: str, names: Sequence[str], reason: str, *, who: str | None = None) -> Run:
@@ -147,7 +147,7 @@ class Acceptance:
         """
         stored_run(self._store, run_id)
         why = checked_reason(reason)
-        self._store.take_back_effects(run_id, names, why, who=who)
+        self._store.effects.revoke(run_id, names, why, who=who)
         return self._refitted(run_id, who, f"{_listed(names)} of run {run_id} taken back: {why}")
 
     def _refitted(self, run_id: str, who: str | None, why: str) -> Run:
@@ -155,7 +155,7 @@ class Acceptance:
         run = stored_run(self._store, run_id)
         if run.result is not None and run.kind != "verification":
             poses = counted_poses(self._store, run_id)
-            run = self._store.set_result(run_id, refitted(self._store, run, poses))
+            run = self._store.runs.set_result(run_id, refitted(self._store, run, poses))
         self._issuer.redraft(run, by=who, reason=why)
         return run
 

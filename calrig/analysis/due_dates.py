@@ -82,7 +82,7 @@ def due_dates(
     latest = {
         row.unit: place for place, row in enumerate(found.rows) if serials is None or row.unit in serials
     }
-    known = store.limits() if limits is None else list(limits)
+    known = store.limits.all() if limits is None else list(limits)
     limited = {serial: limit_for(known, serial, found.rows[place].rig) for serial, place in latest.items()}
     in_force = _in_force(store, [serial for serial, limit in limited.items() if limit is not None])
     units = {}
@@ -115,7 +115,7 @@ class _InForce:
 def _in_force(store: Store, serials: Sequence[str]) -> dict[str, _InForce]:
     if not serials:
         return {}
-    documents = ((one.unit, one.document) for one in store.all_in_force(serials))
+    documents = ((one.unit, one.document) for one in store.revisions.all_in_force(serials))
     return {unit: _InForce(doc["run_id"], tuple(doc["range_deg"])) for unit, doc in documents}
 
 

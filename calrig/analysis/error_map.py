@@ -54,10 +54,10 @@ class Basis:
 
 def basis_of(store: Store, rig: str) -> Basis:
     """The newest runs of a rig that count, at most `MOST_RUNS`; those at several clamping angles first."""
-    runs, _ = store.runs(rig=rig, status="completed", limit=LOOKS_BACK)
+    runs, _ = store.runs.page(rig=rig, status="completed", limit=LOOKS_BACK)
     counted = [run for run in runs if run.voided is None and run.kind != "static"]
     chosen = sorted(counted, key=lambda run: not _is_remounted(run))[:MOST_RUNS]
-    numbers = ((run.id, store.count_poses(run.id)) for run in chosen)
+    numbers = ((run.id, store.poses.count(run.id)) for run in chosen)
     return Basis(tuple(one for one in numbers if one[1]), len({run.unit for run in chosen}))
 
 

@@ -282,7 +282,7 @@ def reanalyse(
         StoreError: the store cannot.
     """
     began_s = time.monotonic()
-    listed = {run.id: run for part in store.completed_runs() for run in part}
+    listed = {run.id: run for part in store.fleet.completed_runs() for run in part}
     with progress("screening") as show:
         standing_out, sums = _screened(store, listed, poses, show)
     chosen = [run for run in listed.values() if run.id in standing_out or run.verdict not in NOTHING]
@@ -366,7 +366,7 @@ def _screened(
     if poses is not None:
         for glanced in glance_at_files(parquet_files(poses), listed.__contains__):
             take(glanced)
-    for piece in store.packed_poses([run for run in listed.values() if run.id not in seen]):
+    for piece in store.fleet.packed_poses([run for run in listed.values() if run.id not in seen]):
         take([glance(piece)])
     return standing_out, merged(parts)
 
@@ -379,7 +379,7 @@ def _diagnosed(
     show: Callable[[float], None],
 ) -> dict[str, str | None]:
     """Today's verdict on each of these runs, None where it cannot be diagnosed."""
-    kept, today = results.findings(), catalogue_version()
+    kept, today = results.findings.all(), catalogue_version()
     verdicts = {
         run.id: known.verdict
         for run in chosen
@@ -399,7 +399,7 @@ def _diagnosed(
                 continue
             if answer.catalogue != today:
                 raise WorkError(f"{found.what}: run another calrig than this one: install the same there")
-            results.keep_finding(run_id, sha256, today, answer.diagnosis, answer.error)
+            results.findings.save(run_id, sha256, today, answer.diagnosis, answer.error)
             verdicts[run_id] = None if answer.diagnosis is None else answer.diagnosis["verdict"]
             show(len(verdicts) / len(chosen))
     for run_id, error in lost.items():

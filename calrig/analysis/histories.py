@@ -123,7 +123,7 @@ def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
         store: where they are.
         serials: those of interest, told whole beside the `POOLED` latest runs of all; None for all of all.
     """
-    rows = store.comparison(serials, latest=POOLED)
+    rows = store.units.comparison(serials, latest=POOLED)
     units, day, figures = _arrays(store, rows)
     packed = tuple(
         _Packed(*(np.ascontiguousarray(getattr(runs, name)).tobytes() for name in Runs.__slots__))
@@ -146,7 +146,7 @@ def change_between(store: Store, before: ComparisonRow, now: ComparisonRow) -> t
     Returns:
         The changes between all runs, without the unit's own after `before`; and the place of this pair.
     """
-    rows = [row for row in store.comparison([now.unit], latest=POOLED) if row.run_id != now.run_id]
+    rows = [row for row in store.units.comparison([now.unit], latest=POOLED) if row.run_id != now.run_id]
     known = list({row.run_id: row for row in [*rows, before, now]}.values())
     since = (row.unit == now.unit and row.finished_at > before.finished_at for row in known)
     is_remounted = any(compress(_remounted(known), since))
@@ -226,7 +226,7 @@ def _stage_variances(store: Store, rows: list[ComparisonRow], unit: IntArray, ri
     first, second = pairs(unit)
     moved = rig[first] != rig[second]
     places = np.unique(np.concatenate([first[moved], second[moved]]))
-    known = store.reference_figures([rows[place].run_id for place in places])
+    known = store.runs.reference_figures([rows[place].run_id for place in places])
     for place in places:
         own = rows[place].result.get("reference") or {}  # of a run that is not stored yet
         unstored = own.get("bias_std_deg", 0.0), own.get("scale_std")
@@ -325,7 +325,7 @@ def unit_changes(store: Store, serial: str) -> list[Document]:
     Raises:
         Unknown: there is no such unit.
     """
-    if store.unit(serial) is None:
+    if store.units.get(serial) is None:
         raise Unknown(f"there is no unit {serial!r}")
     found = histories(store, [serial])
     places = found.of(serial)
@@ -405,7 +405,7 @@ def _known(value: float) -> float | None:
 
 def _traced(store: Store, before: str, after: str) -> list[Document] | None:
     """Effects that the stored diagnosis of two runs says have changed between them; None without one."""
-    run = store.run(after)
+    run = store.runs.get(after)
     diagnosis = None if run is None else run.diagnosis
     if diagnosis is None or before not in diagnosis["runs"]:
         return None

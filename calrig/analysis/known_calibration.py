@@ -85,10 +85,10 @@ def known_calibration(store: Store, unit: str) -> KnownCalibration | None:
     A draft that nobody has released says nothing of the unit, nor does a revision of a run that was voided
     or moved to another unit.
     """
-    released = [one for one in store.revisions(unit) if one.status in ("in_force", "superseded")]
+    released = [one for one in store.revisions.of(unit) if one.status in ("in_force", "superseded")]
     released.sort(key=lambda one: one.status != "in_force")
     for one in released:
-        run = store.run(one.run_id)
+        run = store.runs.get(one.run_id)
         if run is None or run.voided is not None or run.unit != unit:
             continue
         if run.result is not None and run.result.scale is not None:
@@ -141,10 +141,10 @@ def solution_doubts(store: Store, runs: Sequence[Run], content: Document) -> lis
 
 def _lost_doubts(store: Store, unit: str, content: Document) -> list[Doubt]:
     """Return what would be lost with the revision in force."""
-    in_force = store.in_force(unit)
+    in_force = store.revisions.in_force(unit)
     if in_force is None:
         return []
-    accepted = [effect.name for effect in store.effects_in_force(unit, None)]
+    accepted = [effect.name for effect in store.effects.in_force(unit, None)]
     name = f"revision {in_force.revision}"
     return displacement_doubts(in_force.document, content, accepted, name)
 

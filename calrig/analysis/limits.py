@@ -37,7 +37,7 @@ def keep_configured(settings: Settings, store: Store) -> None:
     """Has the store hold the limits of the configuration, where it gives any, for all who read it."""
     if settings.limit:
         found = f"as {settings.file} has them"
-        store.replace_limits([limit_of(one) for one in settings.limit], who=None, reason=found)
+        store.limits.replace([limit_of(one) for one in settings.limit], who=None, reason=found)
 
 
 def replace(
@@ -62,8 +62,8 @@ def replace(
         if name in names[:place]:
             said = f"Limit {place + 1} is named {name!r} like another one: a verdict names its limit"
             raise Invalid(said, [f"[{place}].name"])
-    store.replace_limits([limit_of(one) for one in given], who=who)
-    return store.limits()
+    store.limits.replace([limit_of(one) for one in given], who=who)
+    return store.limits.all()
 
 
 def cannot_pass_on(
@@ -78,7 +78,7 @@ def cannot_pass_on(
         store: has limits, and the map that was put in force.
         maps: that files give, as far as they are in this program's hands.
     """
-    limit = limit_for(store.limits(), unit, rig.name)
+    limit = limit_for(store.limits.all(), unit, rig.name)
     if limit is None or plan.kind == "static":
         return []
     stated = rig.reference
@@ -114,16 +114,16 @@ class FoundRuns:
 def found_runs(
     store: Store, sought: Sought, judged: Judged | None, limit: int, cursor: str | None
 ) -> FoundRuns:
-    """A page of runs as of `Store.sought_runs`; with a verdict it may be short, and is not the last for that.
+    """A page of runs as of `Store.runs.search`; with a verdict it may be short, and is not the last for that.
 
     Raises:
         ValueError: as there.
     """
     if judged is None:
-        items, next_cursor = store.sought_runs(sought, limit=limit, cursor=cursor)
+        items, next_cursor = store.runs.search(sought, limit=limit, cursor=cursor)
         return FoundRuns(items, next_cursor, items[-1].created_at if items else None)
-    found = store.judged_runs(sought, judged, limit=limit, cursor=cursor)
+    found = store.verdicts.judged_runs(sought, judged, limit=limit, cursor=cursor)
     if found.judged_whole:
         with suppress(StoreError):  # it is for the next search
-            store.judge(found.judged_whole)
+            store.verdicts.judge(found.judged_whole)
     return FoundRuns(found.items, found.next_cursor, found.back_to)

@@ -156,7 +156,7 @@ def lay_samples(store: Store, run_id: str, file: IO[bytes]) -> None:
         Conflict: there are none, or too many.
     """
     n_samples = 0
-    for block in store.sample_blocks(run_id):
+    for block in store.samples.blocks_of(run_id):
         n_samples += len(block)
         if n_samples > MOST_SAMPLES:
             raise Conflict(
@@ -185,7 +185,7 @@ def noise_of_unit(
         Conflict: it has no such log, or its samples are gone.
         Invalid: the log cannot be studied.
     """
-    if store.unit(unit) is None:
+    if store.units.get(unit) is None:
         raise Unknown(f"there is no unit {unit!r}")
     run = _latest_static_run(store, unit)
     with NamedTemporaryFile() as file:
@@ -200,7 +200,7 @@ def noise_of_unit(
 def _latest_static_run(store: Store, unit: str) -> Run:
     cursor = None
     while True:
-        runs, cursor = store.runs(unit=unit, status="completed", limit=200, cursor=cursor)
+        runs, cursor = store.runs.page(unit=unit, status="completed", limit=200, cursor=cursor)
         for run in runs:
             if run.voided is None and run.kind == "static":
                 return run
@@ -227,7 +227,7 @@ def filters_of_run(store: Store, run_id: str) -> FilterStudy:
     from calrig.noise.filters import study_filters
 
     run = stored_run(store, run_id)
-    samples = store.samples(run_id)
+    samples = store.samples.of(run_id)
     if not len(samples):
         raise _no_samples(run_id)
     columns = sample_columns(samples)

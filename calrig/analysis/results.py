@@ -87,7 +87,7 @@ def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Result:
 
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """
-    accepted = store.effects_in_force(run.unit, run.rig)
+    accepted = store.effects.in_force(run.unit, run.rig)
     result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run))
     if run.result is not None and "doubts" in run.result.model_fields_set:  # until the next draft says
         result = result.with_doubts(run.result.doubts)

@@ -149,7 +149,7 @@ class Issuer:
         if (why := why_none(run) or why_not_now(run)) is not None:
             raise Conflict(f"run {run_id} {why}: it gives no calibration")
         draft = self._draft(run, self._fit(run, effects), by=by, reason=reason)
-        return self._store.issue(run_id, draft)
+        return self._store.revisions.issue(run_id, draft)
 
     def draft_solved(self, unit: str, solution_id: str, *, by: str | None, reason: str | None) -> Revision:
         """Makes a draft of what a joint solution says of a unit; released as its rig's `release` says.
@@ -158,17 +158,19 @@ class Issuer:
             Unknown: the solution has no such unit.
             Conflict: the solution does not give one, or what it rests on has changed since.
         """
-        solution = self._store.solution(solution_id)
+        solution = self._store.solutions.get(solution_id)
         run = solved_run(self._store, unit, solution)
-        content, poses = solved_content(self._store, unit, solution), self._store.poses(run.id)
+        content, poses = solved_content(self._store, unit, solution), self._store.poses.of(run.id)
         runs = [stored_run(self._store, one) for one in solution.found.basis.runs]
         doubts = solution_doubts(self._store, [one for one in runs if one.unit == unit], content)
         content = _with_warnings(content, doubts)
         judged = solved_verdict(self._store, content, run, solution, poses, doubts)
-        excluded = self._store.excluded_poses(run.id)
+        excluded = self._store.poses.excluded(run.id)
         basis = {**basis_of((), excluded, []), "solution": solution.id}
         releases = self._releases.puts_in_force(run.rig, judged)
-        return self._store.issue(run.id, Draft(content, basis, judged.to_dict(), releases, by, reason))
+        return self._store.revisions.issue(
+            run.id, Draft(content, basis, judged.to_dict(), releases, by, reason)
+        )
 
     def redraft(self, changed: Run, *, by: str | None, reason: str) -> Revision | None:
         """The unit's next draft, after a run or what was accepted from it has changed.
@@ -177,7 +179,7 @@ class Issuer:
         where a current revision of it rests on the same already. A joint solution in force gives way to no
         single run while its own counts: it is listed as stale, and to be solved again.
         """
-        in_force, now = self._store.in_force(changed.unit), stored_run(self._store, changed.id)
+        in_force, now = self._store.revisions.in_force(changed.unit), stored_run(self._store, changed.id)
         still_counts = now.voided is None and now.unit == changed.unit
         if in_force is not None and "solution" in in_force.basis and still_counts:
             return None
@@ -185,15 +187,15 @@ class Issuer:
             base: Run | None = None if why_not_now(now) else now
         else:
             base = None
-        base = base or self._store.latest_calibration_run(changed.unit)
+        base = base or self._store.runs.latest_calibration(changed.unit)
         if base is None:
             return None
         fit = self._fit(base)
         basis = basis_of(fit.accepted, fit.excluded, None)
-        for one in self._store.revisions(base.unit):
+        for one in self._store.revisions.of(base.unit):
             if one.run_id == base.id and one.status in ("draft", "in_force") and one.basis == basis:
                 return None
-        return self._store.issue(base.id, self._draft(base, fit, by=by, reason=reason))
+        return self._store.revisions.issue(base.id, self._draft(base, fit, by=by, reason=reason))
 
     def release(self, unit: str, number: int, *, by: str | None, reason: str | None) -> Revision:
         """Puts a draft or a superseded revision in force; a reason is kept with it where there is one.
@@ -203,12 +205,14 @@ class Issuer:
             Conflict: its run has been voided.
             Invalid: its document has warnings, and there is no reason.
         """
-        found = self._store.revision(unit, number)
+        found = self._store.revisions.get(unit, number)
         if found is not None and found.warnings and not (reason or "").strip():
             raise Invalid(f"revision {number} has warnings: a reason is needed to release it", ["reason"])
         if found is not None and (voided := stored_run(self._store, found.run_id).voided):
             raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided.reason})")
-        return self._store.release(unit, number, by, None if reason is None else checked_reason(reason))
+        return self._store.revisions.release(
+            unit, number, by, None if reason is None else checked_reason(reason)
+        )
 
     def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
         """Takes a revision back for good.
@@ -216,7 +220,7 @@ class Issuer:
         Raises:
             Refused: it has been withdrawn already.
         """
-        return self._store.withdraw(unit, number, by, checked_reason(reason))
+        return self._store.revisions.withdraw(unit, number, by, checked_reason(reason))
 
     def listed(self, revisions: Sequence[Revision]) -> list[Document]:
         """Revisions as CONTRACT section 2 lists them."""
@@ -240,11 +244,11 @@ class Issuer:
     def bring_over(self) -> list[Revision]:
         """Issues what was in force of units from before there were revisions; each of them once."""
         made = []
-        for unit in self._store.units_without_revision():
-            run = self._store.latest_calibration_run(unit, follow_ups=True)
+        for unit in self._store.revisions.units_without():
+            run = self._store.runs.latest_calibration(unit, follow_ups=True)
             if run is not None:
                 draft = self._draft(run, self._fit(run), by=None, reason=BROUGHT_OVER, releases=True)
-                made.append(self._store.issue(run.id, draft))
+                made.append(self._store.revisions.issue(run.id, draft))
         return made
 
     def _stale(self, revisions: Iterable[Revision]) -> list[list[str]]:
@@ -254,18 +258,18 @@ class Issuer:
         for one in revisions:
             if one.run_id not in now:
                 run = stored_run(self._store, one.run_id)
-                accepted = self._store.effects_in_force(run.unit, run.rig)
-                now[one.run_id] = run, accepted, self._store.excluded_poses(run.id)
+                accepted = self._store.effects.in_force(run.unit, run.rig)
+                now[one.run_id] = run, accepted, self._store.poses.excluded(run.id)
             said = changed_since(one, *now[one.run_id])
             if (solution := one.basis.get("solution")) is not None:
-                said = solution_changes(self._store, self._store.solution(solution))
+                said = solution_changes(self._store, self._store.solutions.get(solution))
             found.append(said)
         return found
 
     def _fit(self, run: Run, chosen: Sequence[str] | None = None) -> Fitted:
         """A stored run's poses as they count now, with the effects accepted now."""
-        accepted = chosen_effects(self._store.effects_in_force(run.unit, run.rig), chosen, run)
-        stored = self._store.poses(run.id)
+        accepted = chosen_effects(self._store.effects.in_force(run.unit, run.rig), chosen, run)
+        stored = self._store.poses.of(run.id)
         poses = [one.pose for one in stored if one.excluded is None]
         excluded = [one.index for one in stored if one.excluded is not None]
         result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run))
@@ -300,7 +304,7 @@ class Issuer:
         judged = verdict(
             result.with_doubts(doubts),
             diagnosis,
-            limit=limit_for(self._store.limits(), new.unit, new.rig),
+            limit=limit_for(self._store.limits.all(), new.unit, new.rig),
             calibration=content,
         )
         return JudgedContent(_with_warnings(content, doubts), doubts, judged)
@@ -338,5 +342,7 @@ def issued_since(store: Store, since: datetime | None) -> list[Document]:
             "reason": entry.act.reason,
             "warnings": entry.act.detail.get("warnings", []),
         }
-        for entry in store.trail(what=("drafted", "released", "withdrawn"), since=since, limit=EVERY_ENTRY)
+        for entry in store.trail.entries(
+            what=("drafted", "released", "withdrawn"), since=since, limit=EVERY_ENTRY
+        )
     ]

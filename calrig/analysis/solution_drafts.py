@@ -56,7 +56,7 @@ def solution_changes(store: Store, solution: StoredSolution) -> list[str]:
     """What a solution rests on that has changed since it was found, a sentence each."""
     basis = solution.found.basis
     what: tuple[What, ...] = ("excluded", "included", "moved")
-    entries = store.trail(what=what, since=solution.created_at, limit=EVERY_ENTRY)
+    entries = store.trail.entries(what=what, since=solution.created_at, limit=EVERY_ENTRY)
     voided = [run for run in (stored_run(store, run_id) for run_id in basis.runs) if run.voided is not None]
     said = [gone for run in voided if (gone := gone_since(run, run.unit)) is not None]
     for done, words in (
@@ -147,7 +147,7 @@ def solved_verdict(
         raise Conflict(f"run {run.id}: {error}") from error
     return verdict(
         _as_one_calibration(result).with_doubts(doubts),
-        limit=limit_for(store.limits(), content["unit"], content["rig"]),
+        limit=limit_for(store.limits.all(), content["unit"], content["rig"]),
         calibration=content,
     )
 
@@ -174,7 +174,7 @@ def _stage_map(solution: StoredSolution) -> StageMap:
 
 
 def _clamped_deg(store: Store, run: Run) -> float:
-    first = next(iter(store.poses(run.id)), None)
+    first = next(iter(store.poses.of(run.id)), None)
     return 0.0 if first is None else _stated_deg(run, first.pose)
 
 

@@ -33,11 +33,11 @@ def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
     kept.
     A move is told where neither of its two poses was excluded, and none of its samples is missing.
     """
-    stored = store.poses(run_id, include_excluded=True)
+    stored = store.poses.of(run_id, include_excluded=True)
     poses = [one.pose for one in stored]
     if not any(GYRO_MOVES[0] in pose.covariates for pose in poses):
         poses = _of_samples(store, run_id, poses, [one.index for one in stored])
-    announced = store.poses_announced_at(run_id)
+    announced = store.events.poses_announced_at(run_id)
     after = [None, *stored[:-1]]
     return [
         _told(pose, announced.get(one.index), lost=before is not None and before.excluded is not None)
@@ -48,8 +48,8 @@ def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
 
 def _of_samples(store: Store, run_id: str, poses: list[Pose], indices: Sequence[int]) -> list[Pose]:
     """The poses as they are, where their samples are not stored or their clock began anew."""
-    whole = store.samples(run_id)
-    dwells = [store.samples(run_id, index) for index in indices]
+    whole = store.samples.of(run_id)
+    dwells = [store.samples.of(run_id, index) for index in indices]
     if (
         len(whole.time_s) < 2
         or not (np.diff(whole.time_s) > 0.0).all()
@@ -132,7 +132,7 @@ def question(store: Store, wanted: SolutionRequest) -> SolutionInputs:
     runs = _runs(store, wanted)
     if not runs:
         raise Invalid(f"{_named(wanted)} no completed calibration that counts", ["runs"])
-    n = sum(store.count_poses(run.id) for run in runs)
+    n = sum(store.poses.count(run.id) for run in runs)
     if n > MOST_POSES:
         raise Invalid(
             f"a solution takes at most {MOST_POSES:,} poses, and these {len(runs)} runs have {n:,}: name "
@@ -183,11 +183,11 @@ def _runs(store: Store, wanted: SolutionRequest) -> list[Run]:
     """Those named, in this order, then those that count of the units or the rig."""
     runs = [ended_run(store, run_id) for run_id in dict.fromkeys(wanted.runs)]
     for serial in wanted.units:
-        if store.unit(serial) is None:
+        if store.units.get(serial) is None:
             raise Unknown(f"there is no unit {serial!r}")
     if wanted.units or not wanted.runs:
         named = {run.id for run in runs}
-        counting = store.counting_runs(wanted.rig, wanted.units or None)
+        counting = store.runs.valid_ids(wanted.rig, wanted.units or None)
         runs += [ended_run(store, run_id) for run_id in counting if run_id not in named]
     for run in runs:
         if run.voided is not None:

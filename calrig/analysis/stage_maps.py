@@ -40,8 +40,8 @@ def holds(store: Store, rig: str, kept: Document) -> Document:
         rig: by name.
         kept: what runs keep of the map in force.
     """
-    stage_map, named = StageMap.from_frozen(kept), store.check_unit(rig)
-    runs, _ = store.runs(rig=rig, status="completed", limit=LOOKS_BACK)
+    stage_map, named = StageMap.from_frozen(kept), store.check_standards.of(rig)
+    runs, _ = store.runs.page(rig=rig, status="completed", limit=LOOKS_BACK)
     guards = [run for run in runs if run.voided is None and (named is None or run.unit == named.unit)]
     for now, before in _pairs(guards, stage_map):
         found = _held(store, now, before, stage_map)
@@ -145,7 +145,7 @@ def kept_of(store: Store, rig: str, configured: Mapping[str, Document]) -> Docum
         rig: by name.
         configured: of `configured_maps`.
     """
-    found = store.stage_map(rig)
+    found = store.stage_maps.of(rig)
     return configured.get(rig) if found is None else _kept(store, found)
 
 
@@ -156,7 +156,7 @@ def provenance_part(store: Store, rig: str, configured: Mapping[str, Document]) 
 
 
 def _kept(store: Store, found: MapInForce) -> Document:
-    solved_at = store.solution(found.solution_id).created_at
+    solved_at = store.solutions.get(found.solution_id).created_at
     return {
         **StageMap.from_document(found.document).frozen(),
         "solve": found.solution_id,
@@ -173,7 +173,7 @@ def put_in_force(store: Store, rig: str, solution_id: str, *, who: str | None) -
         NotFound: there is no such solution.
         Conflict: it is of another rig, or its map cannot be used, and why.
     """
-    solution = store.solution(solution_id)
+    solution = store.solutions.get(solution_id)
     if solution.found.rig != rig:
         raise Conflict(
             f"solution {solution_id} is of rig {solution.found.rig!r}: each stage has a map of its own"
@@ -184,14 +184,14 @@ def put_in_force(store: Store, rig: str, solution_id: str, *, who: str | None) -
         advice = solution.found.document.get("advice") or {}
         helps = f": {advice['says']}" if advice.get("says") else ""
         raise Conflict(f"the map of solution {solution_id} {error}{helps}") from error
-    return store.put_stage_map(rig, solution_id, solution.found.stage_map, who=who)
+    return store.stage_maps.put_in_force(rig, solution_id, solution.found.stage_map, who=who)
 
 
 def listed_maps(store: Store, configured: Mapping[str, Document]) -> list[Document]:
     """Which maps are in force, by name of the rig."""
     put = {
         one.rig: {"rig": one.rig, "sha256": one.sha256, "solve": one.solution_id, "file": None}
-        for one in store.stage_maps()
+        for one in store.stage_maps.all()
     }
     of_files = {
         rig: {"rig": rig, "sha256": kept["sha256"], "solve": None, "file": kept["file"]}
@@ -206,7 +206,7 @@ def shown_map(store: Store, rig: RigSettings, configured: Mapping[str, Document]
     Raises:
         Unknown: it has none.
     """
-    kept, found = kept_of(store, rig.name, configured), store.stage_map(rig.name)
+    kept, found = kept_of(store, rig.name, configured), store.stage_maps.of(rig.name)
     if kept is None:
         of_bench = "; its bench may have a file of its own" if rig.reference and rig.reference.map else ""
         raise Unknown(f"rig {rig.name!r} has no stage's map in force{of_bench}")

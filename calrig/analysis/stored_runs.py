@@ -60,7 +60,7 @@ def stored_run(store: Store, run_id: str) -> Run:
     Raises:
         Unknown: there is none.
     """
-    run = store.run(run_id)
+    run = store.runs.get(run_id)
     if run is None:
         raise Unknown(f"there is no run {run_id}")
     return run
@@ -97,7 +97,7 @@ def limits_of(run: Run) -> tuple[float, float] | None:
 
 def counted_poses(store: Store, run_id: str) -> list[Pose]:
     """The poses of a run that nobody has excluded."""
-    return [stored.pose for stored in store.poses(run_id, include_excluded=False)]
+    return [stored.pose for stored in store.poses.of(run_id, include_excluded=False)]
 
 
 def poses_together(store: Store, runs: Sequence[Run]) -> list[list[Pose]]:
@@ -107,7 +107,7 @@ def poses_together(store: Store, runs: Sequence[Run]) -> list[list[Pose]]:
         Invalid: they are more than one diagnosis takes. None are left out: an effect shows in how a pose
             follows on the one before, and which of them may be missed is for the person to say.
     """
-    n = sum(store.count_poses(run.id) for run in runs)
+    n = sum(store.poses.count(run.id) for run in runs)
     if n > MOST_POSES:
         raise Invalid(
             f"run {', '.join(run.id for run in runs)}: a diagnosis takes at most {MOST_POSES:,} poses, and "

@@ -121,7 +121,7 @@ def create_app(
         centre=centre or CentreSettings(),
         laboratory=laboratory or LaboratorySettings(),
     )
-    app.state.authentication = Authentication(access, service.store.users)
+    app.state.authentication = Authentication(access, service.store.users.all)
     if is_bench:
         app.add_middleware(BenchPage)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=6)  # event streams never

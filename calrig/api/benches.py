@@ -79,7 +79,7 @@ class Joined(Answer):
 @router.get("/api/benches", response_model=list[BenchAnswer], summary="Every bench, by name")
 def list_benches(context: Context) -> object:
     """Those that were revoked as well. What their rigs do is at `/api/rigs`."""
-    return [asdict(bench) for bench in context.store.memberships()]
+    return [asdict(bench) for bench in context.store.enrolment.benches()]
 
 
 @router.post(
@@ -95,7 +95,7 @@ def add_bench(body: NewBench, context: Context, who: Who) -> object:
 
     Who was revoked, or has not joined yet, gets another one.
     """
-    bench, code = context.store.add_bench(body.name, body.hall, who=who)
+    bench, code = context.store.enrolment.add(body.name, body.hall, who=who)
     return {**asdict(bench), "code": code}
 
 
@@ -110,7 +110,7 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
     attempt = context.enrolling.begin(request)
     address = address_of(request)
     try:
-        bench, db = context.store.enroll_bench(
+        bench, db = context.store.enrolment.enroll(
             body.code,
             host=context.centre.agent_db_host,
             port=context.centre.agent_db_port,
@@ -133,7 +133,7 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
 )
 def revoke_bench(name: str, context: Context, who: Who) -> object:
     """Its role can log in no more and its connections end; what it measured stays."""
-    return asdict(context.store.revoke_bench(name, who=who))
+    return asdict(context.store.enrolment.revoke(name, who=who))
 
 
 OF_THE_BENCH = re.compile(

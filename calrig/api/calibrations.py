@@ -232,7 +232,7 @@ def show_calibration(
 )
 def list_revisions(unit: KnownUnit, context: Context) -> object:
     """At most one is in force; `stale` says what it rests on that has changed since it was made."""
-    return context.issuer.listed(context.store.revisions(unit.serial))
+    return context.issuer.listed(context.store.revisions.of(unit.serial))
 
 
 @router.post(

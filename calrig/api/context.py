@@ -104,7 +104,7 @@ KnownRun = Annotated[Run, Depends(_known_run)]
 
 
 def _known_unit(serial: str, context: Context) -> Unit:
-    unit = context.store.unit(serial)
+    unit = context.store.units.get(serial)
     if unit is None:
         raise Unknown(f"there is no unit {serial!r}")
     return unit

@@ -59,7 +59,7 @@ def _timeline(context: ApiContext, run: Run) -> figures.Figure:
     """From the readings announced during the run; an imported one has none, and its poses stand in."""
     rows = [(row["time_s"], row["stage_deg"], row["reading_deg"]) for row in _readings(context, run.id)] or [
         (stored.pose.time_s, stored.pose.stage_deg, stored.pose.reading_deg)
-        for batch in context.store.pose_batches(run.id)
+        for batch in context.store.poses.batches_of(run.id)
         for stored in batch
         if stored.pose.time_s is not None
     ]
@@ -68,13 +68,13 @@ def _timeline(context: ApiContext, run: Run) -> figures.Figure:
 
 def _readings(context: ApiContext, run_id: str) -> Iterator[dict[str, Any]]:
     seen = 0
-    while events := context.store.events_after(run_id, seen, BATCH):
+    while events := context.store.events.after(run_id, seen, BATCH):
         yield from (event.data for event in events if event.type == "reading")
         seen = events[-1].seq
 
 
 def _residual(context: ApiContext, run: Run) -> figures.Figure:
-    stored = context.store.poses(run.id)
+    stored = context.store.poses.of(run.id)
     poses = [s.pose for s in stored]
     return figures.residual(
         poses,
@@ -155,5 +155,5 @@ def compare_figure(
 
 
 def _curve(context: ApiContext, serial: str, run: figures.Run) -> figures.Curve:
-    counted = [s.pose for s in context.store.poses(run["run_id"], include_excluded=False)]
+    counted = [s.pose for s in context.store.poses.of(run["run_id"], include_excluded=False)]
     return figures.Curve(serial, counted, run["bias_deg"], run["scale"])

@@ -40,7 +40,7 @@ class LimitAnswer(Answer):
 @router.get("/api/limits", response_model=list[LimitAnswer], summary="The limits, in order")
 def list_limits(context: Context) -> list[Limit]:
     """The first that matches a unit (and rig) counts. `guard` is w over U of the guarded rule."""
-    return context.store.limits()
+    return context.store.limits.all()
 
 
 @router.put(

@@ -51,14 +51,14 @@ def poses(
 
 
 def _counted(context: ApiContext, run: Run) -> Iterator[list[Pose]]:
-    for batch in context.store.pose_batches(run.id):
+    for batch in context.store.poses.batches_of(run.id):
         yield [stored.pose for stored in batch if stored.excluded is None]
 
 
 def _json(run: Run, store: Store) -> Iterator[bytes]:
     """A JSON array, piece by piece."""
     begin = b"["
-    for batch in store.pose_batches(run.id):
+    for batch in store.poses.batches_of(run.id):
         left_deg = left_of_poses_deg(store, run, [p.pose for p in batch])
         poses = [_pose(p, left, run) for p, left in zip(batch, left_deg, strict=True)]
         yield begin + to_json(poses, inf_nan_mode="null")[1:-1]
@@ -111,9 +111,9 @@ def samples(
     """In the columns of a static log, moves and dwells in the order taken; none once they were pruned."""
     name = f"run-{run.id}-samples" if pose is None else f"run-{run.id}-pose-{pose}-samples"
     if format == "npz":
-        packed = write_samples_npz(context.store.samples(run.id, pose))
+        packed = write_samples_npz(context.store.samples.of(run.id, pose))
         return _file(packed, "application/octet-stream", f"{name}.npz")
-    return _streamed(write_samples_csv(context.store.sample_blocks(run.id, pose)), CSV, f"{name}.csv")
+    return _streamed(write_samples_csv(context.store.samples.blocks_of(run.id, pose)), CSV, f"{name}.csv")
 
 
 @router.get(
@@ -125,7 +125,7 @@ def samples(
 )
 def transcript(run: KnownRun, context: Context) -> str:
     """The last minute of each port, one transcript after the other; empty of a run that did not fail."""
-    return "".join(context.store.transcripts(run.id).values())
+    return "".join(context.store.events.transcripts(run.id).values())
 
 
 def _file(content: str | bytes, media_type: str, name: str) -> Response:

@@ -275,7 +275,7 @@ async def _of_file(
                 raise Invalid(f"{name}: {error}") from error
         if keeper is None:
             return found
-        kept = await run_in_threadpool(context.store.keep_study, study, name, found, who=keeper.name)
+        kept = await run_in_threadpool(context.store.studies.save, study, name, found, who=keeper.name)
         return {"id": kept.id, **found}
 
     return await heavy.answer(work, wait=wait)
@@ -305,7 +305,7 @@ class KeptStudy(Answer):
 @router.get("/api/log-studies", response_model=list[StudyAnswer], summary="Logs that people brought")
 def studies(context: Context) -> object:
     """The latest 200, the newest first; what each found is at its own address."""
-    return context.store.studies()
+    return context.store.studies.newest()
 
 
 @router.get(
@@ -316,7 +316,7 @@ def studies(context: Context) -> object:
 )
 def show_study(study_id: str, context: Context) -> object:
     """As it was answered then."""
-    kept = context.store.study(study_id)
+    kept = context.store.studies.get(study_id)
     if kept is None:
         raise Unknown(f"there is no study {study_id!r}")
     study, found = kept
@@ -333,5 +333,5 @@ def show_study(study_id: str, context: Context) -> object:
 )
 def remove_study(study_id: str, context: Context) -> None:
     """For good."""
-    if not context.store.remove_study(study_id):
+    if not context.store.studies.remove(study_id):
         raise Unknown(f"there is no study {study_id!r}")

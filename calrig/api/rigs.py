@@ -179,7 +179,7 @@ def put_map(name: str, body: PutMap, context: Context, who: Who) -> object:
     if body.solve is not None:
         put_in_force(context.store, name, body.solve, who=who)
     else:
-        context.store.withdraw_stage_map(name, body.reason, who=who)
+        context.store.stage_maps.withdraw(name, body.reason, who=who)
         if name not in context.service.maps:
             return None
     return shown_map(context.store, rig, context.service.maps)
@@ -243,7 +243,7 @@ class NamedCheckUnit(Answer):
 )
 def list_check_units(context: Context) -> object:
     """By name of the rig."""
-    return context.store.check_units()
+    return context.store.check_standards.all()
 
 
 @router.get(
@@ -268,7 +268,7 @@ def show_check_unit(name: str, context: Context) -> object:
 def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -> object:
     """Its runs on the rig from now on are checks; those before are what the first is held against."""
     context.service.known_rig(name)
-    context.store.name_check_unit(name, body.unit, body.interval_days, who=who)
+    context.store.check_standards.name(name, body.unit, body.interval_days, who=who)
     return check_document(context.store, name)
 
 
@@ -281,4 +281,4 @@ def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -
 )
 def delete_check_unit(name: str, context: Context, who: Who) -> None:
     """Nothing is in doubt any more that a check had put in doubt."""
-    context.store.remove_check_unit(name, who=who)
+    context.store.check_standards.remove(name, who=who)

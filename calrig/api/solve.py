@@ -213,7 +213,7 @@ MOST_LISTED = 500
 
 
 def _known_solution(solution_id: str, context: Context) -> StoredSolution:
-    return context.store.solution(solution_id)
+    return context.store.solutions.get(solution_id)
 
 
 KnownSolution = Annotated[StoredSolution, Depends(_known_solution)]
@@ -240,7 +240,7 @@ async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wai
             found = await job.run(partial(answer, asked), tells_progress=True)
         except DiagnosisError as error:
             raise Invalid(str(error), ["runs"]) from error
-        return _shown(await run_in_threadpool(context.store.keep_solution, found, by=who))
+        return _shown(await run_in_threadpool(context.store.solutions.save, found, by=who))
 
     return await heavy.answer(work, wait=wait, kept_at=lambda kept: f"/api/solve/{kept['id']}")
 
@@ -252,7 +252,7 @@ def list_solutions(
     limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
 ) -> list[dict[str, Any]]:
     """What each rests on, and the RMS of held-out poses without and with the map."""
-    return [_listed(one) for one in context.store.solutions(rig, limit)]
+    return [_listed(one) for one in context.store.solutions.newest(rig, limit)]
 
 
 @router.get(
@@ -314,7 +314,7 @@ def solution_figure(solution: KnownSolution, name: Literal["map", "before", "aft
 
 def _require_rig(context: ApiContext, rig: str | None) -> None:
     """Raises Unknown where neither this service nor any run knows a rig of the name."""
-    if rig is not None and not context.store.runs(rig=rig, limit=1)[0]:
+    if rig is not None and not context.store.runs.page(rig=rig, limit=1)[0]:
         context.service.known_rig(rig)
 
 

@@ -55,10 +55,10 @@ def show_trail(
 
     Of a unit are its runs' entries, and those of runs that were moved away from it.
     """
-    entries = context.store.trail(
+    entries = context.store.trail.entries(
         unit=unit, what=what or (), since=since, after=after, newest_first=newest_first, limit=limit
     )
-    broken_at = context.store.broken_link()
+    broken_at = context.store.trail.broken_link()
     shown = [_shown(entry) for entry in entries]
     return {"entries": shown, "intact": broken_at is None, "broken_at": broken_at}
 

@@ -98,7 +98,7 @@ class ItemAnswer(Answer):
 )
 def show_item(unit: KnownUnit, context: Context) -> object:
     """What certificates of calibrations made from now on state of it."""
-    return context.store.item(unit.serial) or CalibrationItem()
+    return context.store.items.of(unit.serial) or CalibrationItem()
 
 
 @router.put(
@@ -111,7 +111,7 @@ def show_item(unit: KnownUnit, context: Context) -> object:
 def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> object:
     """All of it at once. Certificates of runs before `received_at` keep what was said before."""
     said = CalibrationItem(**{**body.model_dump(), "supplied": tuple(dict.fromkeys(body.supplied))})
-    context.store.say_item(unit.serial, said, who=who)
+    context.store.items.add(unit.serial, said, who=who)
     return said
 
 
@@ -147,7 +147,7 @@ def show_archive(unit: KnownUnit, context: Context) -> Response:
 def list_units(context: Context) -> object:
     """How often each was on a rig, when last, and when it is due again."""
     due = context.due_dates()
-    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units()]
+    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units.all()]
 
 
 @router.get(
@@ -155,8 +155,8 @@ def list_units(context: Context) -> object:
 )
 def show_unit(unit: KnownUnit, context: Context) -> object:
     """With all its runs, newest first."""
-    runs, _ = context.store.runs(unit=unit.serial, limit=EVERY_RUN)
-    in_force = context.store.in_force(unit.serial)
+    runs, _ = context.store.runs.page(unit=unit.serial, limit=EVERY_RUN)
+    in_force = context.store.revisions.in_force(unit.serial)
     return {
         **asdict(unit),
         **context.due_dates(serials=[unit.serial]).of(unit.serial).to_dict(),
@@ -175,7 +175,7 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
 )
 def remove_unit(serial: str, context: Context, who: Who) -> None:
     """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
-    context.store.remove_unit(serial, who=who)
+    context.store.units.remove(serial, who=who)
 
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.

@@ -52,7 +52,7 @@ class UserWithToken(UserAnswer):
 @router.get("/api/users", response_model=list[UserAnswer], summary="Everybody who is known, or was")
 def list_users(context: Context) -> object:
     """By name. For admins, as all that is about users."""
-    return [_shown(user) for user in context.store.users()]
+    return [_shown(user) for user in context.store.users.all()]
 
 
 @router.post(
@@ -64,7 +64,7 @@ def list_users(context: Context) -> object:
 )
 def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
     """With a token, shown this once: the store keeps its hash. Who was disabled is added again likewise."""
-    user, token = context.store.add_user(body.name, body.role, with_token=body.token, who=who)
+    user, token = context.store.users.add(body.name, body.role, with_token=body.token, who=who)
     auth.people.reread()
     return {**_shown(user), "token": token}
 
@@ -77,7 +77,7 @@ def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
 )
 def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
     """In place of the one before, which opens nothing from then on, nor does a session begun with it."""
-    user, token = context.store.new_token(name, who=who)
+    user, token = context.store.users.new_token(name, who=who)
     auth.people.reread()
     return {**_shown(user), "token": token}
 
@@ -90,7 +90,7 @@ def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
 )
 def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -> object:
     """From now on, also where they have logged in. The last admin stays one."""
-    user = context.store.set_role(name, body.role, who=who)
+    user = context.store.users.set_role(name, body.role, who=who)
     auth.people.reread()
     return _shown(user)
 
@@ -103,7 +103,7 @@ def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -
 )
 def disable_user(name: str, context: Context, auth: Auth, who: Who) -> object:
     """Token and sessions open nothing any more. What they did stays theirs; the last admin stays."""
-    user = context.store.disable_user(name, who=who)
+    user = context.store.users.disable(name, who=who)
     auth.people.reread()
     return _shown(user)
 

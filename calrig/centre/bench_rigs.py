@@ -85,11 +85,11 @@ class BenchRigs:
 
     def all(self) -> list[BenchRig]:
         """Every rig, by its bench's name and then as that has it configured."""
-        return [rig for bench in self._store.benches() for rig in self._of(bench)]
+        return [rig for bench in self._store.benches.all() for rig in self._of(bench)]
 
     def states(self) -> list[RigState]:
         """How each stands."""
-        busy = self._store.busy_rigs()
+        busy = self._store.orders.busy_rigs()
         return [rig.state(busy.get((rig.bench.name, rig.settings.name))) for rig in self.all()]
 
     def looks(self) -> dict[str, BoardCheck]:
@@ -181,7 +181,11 @@ class BenchCounts(Collector):
     def collect(self) -> Iterator[Metric]:
         """Every family."""
         try:
-            benches, rigs, backlog = self._store.benches(), self._rigs.all(), self._store.backlog()
+            benches, rigs, backlog = (
+                self._store.benches.all(),
+                self._rigs.all(),
+                self._store.benches.backlog(),
+            )
         except StoreError:
             return
         yield from _orders([(rig.bench.name, rig.settings.name) for rig in rigs], backlog)

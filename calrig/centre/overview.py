@@ -29,13 +29,13 @@ def overview(store: Store, rigs: Sequence[RigState], *, now: datetime | None = N
         now: by which a check is overdue; without it this moment.
     """
     now = now or datetime.now(UTC)
-    standings = store.standings([rig.name for rig in rigs])
+    standings = store.rigs.summaries([rig.name for rig in rigs])
 
     def on(bench: str | None) -> list[Document]:
         return [_rig(rig, standings[rig.name], now) for rig in rigs if rig.bench == bench]
 
     here = on(None)
-    benches = [{**_bench(bench), "rigs": on(bench.name)} for bench in store.benches()]
+    benches = [{**_bench(bench), "rigs": on(bench.name)} for bench in store.benches.all()]
     return [*([{**_HERE, "rigs": here}] if here else []), *benches]
 
 

@@ -73,17 +73,17 @@ class Asking:
             Unknown: the bench knows no such run or rig.
             Conflict: it says why not; or it cannot be told, or does not say what came of it.
         """
-        command = self._store.ask_bench(bench.name, kind, rig=rig, run_uid=run_uid)
+        command = self._store.commands.send(bench.name, kind, rig=rig, run_uid=run_uid)
         give_up_s = self._clock.now_s() + ANSWER_S
-        answer = self._store.answer_of(command)
+        answer = self._store.commands.answer(command)
         while answer is None and (left_s := give_up_s - self._clock.now_s()) > 0:
             with self._told:
                 self._told.wait_for(lambda: str(command) in self._answered, min(ANSWER_POLL_S, left_s))
                 self._answered.clear()
-            answer = self._store.answer_of(command)
-        if answer is None and self._store.withdraw_command(command):
+            answer = self._store.commands.answer(command)
+        if answer is None and self._store.commands.withdraw(command):
             raise Conflict(f"bench {bench.name} {seen(bench)} and cannot be told{_advice(kind)}")
-        answer = answer or self._store.answer_of(command)
+        answer = answer or self._store.commands.answer(command)
         if answer is None:
             what = "that the stage stands" if kind in CUT else "what came of it"
             raise Conflict(f"bench {bench.name} has the {kind} and has not said {what}{_advice(kind)}")
@@ -166,10 +166,10 @@ class Unpacker:
         if time.monotonic() >= self._again_s:
             self._again_s = time.monotonic() + AGAIN_S
             self._kept = Kept()
-            self._store.settle_withdrawn()
-        if not self._store.has_parcels(self._kept):
+            self._store.orders.settle_withdrawn()
+        if not self._store.parcels.are_waiting(self._kept):
             return False
-        self._kept = self._store.unpack_parcels(self._conclude, self._kept)
+        self._kept = self._store.parcels.unpack(self._conclude, self._kept)
         for run_id, why in self._kept.stuck.items():
             if self._said.get(run_id) != why:
                 log.error("run %s: a delivery is kept and cannot be unpacked: %s", run_id, why)
@@ -192,7 +192,7 @@ def concluded(store: Store, issuer: Issuer, run: Run, stored: Sequence[StoredPos
         except Conflict:  # it was verified by a revision that this store has never had
             return None if run.result is None else run.result.to_dict(), None
         return applied.result(poses, gyro).to_dict(), None
-    accepted = store.effects_in_force(run.unit, run.rig)
+    accepted = store.effects.in_force(run.unit, run.rig)
     result = fitted(poses, accepted, run.provenance, gyro, ending_of(run))
     excluded = [one.index for one in stored if one.excluded is not None]
     return result.to_dict(), issuer.completing(run, Fitted(poses, result, accepted, excluded))
@@ -293,7 +293,7 @@ class CentreService:
         if on.is_offline and not waits:
             said = f"rig {on.settings.name!r}: bench {on.bench.name} {seen(on.bench)}"
             raise Conflict(f'{said}: ask with "queue": true to wait until it is there')
-        return self.store.order_run(
+        return self.store.orders.create(
             bench=on.bench.name,
             rig=on.settings.name,
             more=order_part(wanted),
@@ -322,19 +322,19 @@ class CentreService:
         run = self.run(run_id)
         if run.status in TERMINAL:
             raise Conflict(f"run {run_id} is {run.status} and cannot be aborted")
-        if self.store.withdraw_order(run_id) and (run := self.run(run_id)).status in TERMINAL:
+        if self.store.orders.withdraw(run_id) and (run := self.run(run_id)).status in TERMINAL:
             return run  # no bench had begun it
-        order = self.store.order_of(run_id)
+        order = self.store.orders.of(run_id)
         if order is None:
             return self._abort_of_nobody(run)
         if order.is_revoked:
-            return self.store.end_orphan(run_id)
+            return self.store.orders.end_orphan(run_id)
         self._ask(order.bench, "abort", run_uid=run_id)
         return self.wait(run_id, ENDS_S)
 
     def _abort_of_nobody(self, run: Run) -> Run:
         """Ends a run that no bench of this centre has: it was moved here from another store."""
-        return self.store.update_run(run.id, status="aborted")
+        return self.store.runs.update(run.id, status="aborted")
 
     def stop(self, rig_name: str) -> RigState:
         """Has a rig's bench stop its stage now, whatever runs; what waits to begin there is aborted.
@@ -355,7 +355,7 @@ class CentreService:
             self._asking.ask(rig.bench, "stop", rig=rig_name)
         finally:
             try:
-                self.store.settle_withdrawn(BY_REQUEST.reason)
+                self.store.orders.settle_withdrawn(BY_REQUEST.reason)
             except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
                 log.error("runs that waited for rig %s are not told of as aborted yet: %s", rig_name, error)
         return next(state for state in self.rigs() if state.name == rig_name)
@@ -371,7 +371,7 @@ class CentreService:
         """Has a rig's bench look at its board for a while; waits for no answer. Or Unknown."""
         rig = self._rigs.known(rig_name)
         if not rig.is_offline:
-            self.store.ask_bench(rig.bench.name, "look", rig=rig_name)
+            self.store.commands.send(rig.bench.name, "look", rig=rig_name)
 
     def looks(self) -> dict[str, BoardCheck]:
         """What the last looks at boards gave, by rig, as their benches last said; of those looked at."""
@@ -396,14 +396,14 @@ class CentreService:
         check_stage_at(run, stage_at_deg)
         if run.status != "interrupted":
             return self._ask_of_run(run_id, "resume", "resumed")
-        order = self.store.order_of(run_id)
+        order = self.store.orders.of(run_id)
         if order is not None and self._rigs.known(order.rig).is_offline:
             bench = self._bench(order.bench)
             raise Conflict(f"run {run_id} cannot be resumed: bench {bench.name} {seen(bench)}")
-        return self.store.order_resumption(run_id, stage_at_deg)
+        return self.store.orders.resume(run_id, stage_at_deg)
 
     def _ask_of_run(self, run_id: str, kind: Kind, wish: str) -> Run:
-        run, order = self.run(run_id), self.store.order_of(run_id)
+        run, order = self.run(run_id), self.store.orders.of(run_id)
         if run.status not in UNFINISHED or order is None or order.taken_epoch < order.epoch:
             raise Conflict(f"run {run_id} is {run.status} and cannot be {wish}")
         self._ask(order.bench, kind, run_uid=run_id)
@@ -413,7 +413,7 @@ class CentreService:
         self._asking.ask(self._bench(bench), kind, run_uid=run_uid)
 
     def _bench(self, name: str) -> Bench:
-        for bench in self.store.benches():
+        for bench in self.store.benches.all():
             if bench.name == name:
                 return bench
         raise Unknown(f"there is no bench {name!r} any more")

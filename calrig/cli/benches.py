@@ -51,7 +51,7 @@ def add(
         code = part(_client(server).post("/api/benches", {"name": name, "hall": hall}), "code")
     else:
         with _writing(db) as store:
-            _, code = store.add_bench(name, hall)
+            _, code = store.enrolment.add(name, hall)
     typer.echo(code)
 
 
@@ -62,7 +62,7 @@ def revoke(name: Name, db: Db = None, server: Server = None) -> None:
         _client(server).delete(f"/api/benches/{quote(name, safe='')}")
         return
     with _writing(db) as store:
-        store.revoke_bench(name)
+        store.enrolment.revoke(name)
 
 
 @app.command("list")
@@ -77,7 +77,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
         from calrig.store import Store
 
         with Store.open(store_url(db), writer=None) as store:
-            benches = [_shown(bench) for bench in store.memberships()]
+            benches = [_shown(bench) for bench in store.enrolment.benches()]
     if as_json:
         print_json(benches)
     else:

@@ -229,7 +229,7 @@ def _revision_asked_for(store: Store, run_id: str | None, unit: str | None) -> R
     from calrig.analysis.calibration_in_force import newest_of_run, wanted_revision
 
     if unit is not None:
-        return store.in_force(unit) or wanted_revision(store, unit, "latest")
+        return store.revisions.in_force(unit) or wanted_revision(store, unit, "latest")
     return newest_of_run(store, run_id or "")
 
 
@@ -327,13 +327,13 @@ def export_all(folder: Path, db: str | None) -> None:
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store, late_bar("exporting") as show:
-        runs = [run for part in store.completed_runs() for run in part]
+        runs = [run for part in store.fleet.completed_runs() for run in part]
         n_poses = 0
 
         def pieces() -> Iterator[PackedPoses]:
             nonlocal n_poses
             n_runs = 0
-            for piece in store.packed_poses(runs, with_gyro=True):
+            for piece in store.fleet.packed_poses(runs, with_gyro=True):
                 yield piece
                 n_runs, n_poses = n_runs + len(piece), n_poses + int(piece.first[-1])
                 show(n_runs / len(runs))

@@ -82,11 +82,11 @@ def _configured(ctx: typer.Context) -> Callable[[], list[str]]:
 rigs = _names(lambda service: [rig.name for rig in service.rigs()], _configured)
 units = _names(
     lambda service: [unit["serial"] for unit in service.get("/api/units")],
-    _stored(lambda store: [unit.serial for unit in store.units()]),
+    _stored(lambda store: [unit.serial for unit in store.units.all()]),
 )
 runs = _names(
     lambda service: [run.id for run in service.runs(limit=MOST_RUNS)],
-    _stored(lambda store: [run.id for run in store.runs(limit=MOST_RUNS)[0]]),
+    _stored(lambda store: [run.id for run in store.runs.page(limit=MOST_RUNS)[0]]),
 )
 
 
@@ -150,9 +150,9 @@ def whole_id(store: Store, typed: str) -> str:
     Raises:
         InputError: several ids begin so.
     """
-    if not begins_uuid(typed.lower()) or store.run(typed) is not None:
+    if not begins_uuid(typed.lower()) or store.runs.get(typed) is not None:
         return typed
-    return the_one(typed, store.uuids_beginning(typed.lower(), LISTED + 1))
+    return the_one(typed, store.runs.ids_beginning(typed.lower(), LISTED + 1))
 
 
 def the_one(typed: str, found: Sequence[str]) -> str:

@@ -70,7 +70,7 @@ def _serve_on(
     )
     with serving as service, suppress(KeyboardInterrupt), ExitStack() as stack:
         if settings.keep_samples_days is not None:
-            service.store.prune_samples(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
+            service.store.samples.prune(datetime.now(UTC) - timedelta(days=settings.keep_samples_days))
 
         if settings.webhook is not None:
             from calrig.runs.webhook import Webhook

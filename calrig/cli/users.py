@@ -63,7 +63,7 @@ def add(
         made = part(_client(server).post("/api/users", body), "token")
     else:
         with _store(db) as store:
-            _, made = store.add_user(name, role.value, with_token=token)
+            _, made = store.users.add(name, role.value, with_token=token)
     if made is not None:
         typer.echo(made)
 
@@ -77,7 +77,7 @@ def token(name: Name, db: Db = None, server: Server = None) -> None:
         made = part(_client(server).post(f"{_path(name)}/token", {}), "token")
     else:
         with _store(db) as store:
-            _, made = store.new_token(name)
+            _, made = store.users.new_token(name)
     typer.echo(made)
 
 
@@ -93,7 +93,7 @@ def role(
         _client(server).post(f"{_path(name)}/role", {"role": role.value})
     else:
         with _store(db) as store:
-            store.set_role(name, role.value)
+            store.users.set_role(name, role.value)
 
 
 @app.command("disable")
@@ -103,7 +103,7 @@ def disable(name: Name, db: Db = None, server: Server = None) -> None:
         _client(server).post(f"{_path(name)}/disable", {})
     else:
         with _store(db) as store:
-            store.disable_user(name)
+            store.users.disable(name)
 
 
 @app.command("list")
@@ -118,7 +118,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
         from calrig.store import Store
 
         with Store.open(store_url(db), writer=None) as store:
-            users = [_shown(user) for user in store.users()]
+            users = [_shown(user) for user in store.users.all()]
     if as_json:
         print_json(users)
     else:

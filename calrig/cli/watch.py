@@ -71,7 +71,7 @@ class RunElsewhere:
                 f"run {self.id} is {run.status} in the store, and no program is there that carries it out; "
                 f"`calrig resume {self.id}` goes on with it"
             )
-        events = self._store.events_after(self.id, self._seen)
+        events = self._store.events.after(self.id, self._seen)
         self._seen = events[-1].seq if events else self._seen
         self.status, self.progress = str(run.status), run.progress.model_dump()
         self.is_over = run.status in AT_REST

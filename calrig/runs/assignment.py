@@ -138,7 +138,7 @@ class NewRun:
         return wanted
 
     def columns(self, n_poses: int) -> dict[str, Any]:
-        """As `Store.create_run` and `Store.order_run` take it; n_poses are those that it has to measure."""
+        """Arguments of `Runs.create` and `Orders.create`; n_poses: number of poses to measure."""
         return {
             "unit": self.unit,
             "plan": self.plan.model_dump(mode="json"),
@@ -158,7 +158,7 @@ class NewRun:
 
     def keep(self, store: Store, rig: str, n_poses: int) -> Run:
         """Stores it as `queued`."""
-        return store.create_run(rig=rig, status="queued", run_id=self.run_id, **self.columns(n_poses))
+        return store.runs.create(rig=rig, status="queued", run_id=self.run_id, **self.columns(n_poses))
 
 
 def rig_followed_up_on(run: Run) -> str:
@@ -169,7 +169,7 @@ def rig_followed_up_on(run: Run) -> str:
 
 
 def order_part(wanted: NewRun) -> Document:
-    """What an order says of a run beside what is stored of it: `more` of `Store.order_run`."""
+    """What an order says of a run beside what is stored of it: `more` of `Store.orders.create`."""
     verifies, follow_up = wanted.verifies, wanted.follow_up
     return {
         "stage_at_deg": wanted.stage_at_deg,

@@ -295,7 +295,7 @@ class RunBatches:
             "operator": operator,
             "note": note,
         }
-        return self._store.keep_batch(document, serials)
+        return self._store.batches.create(document, serials)
 
     def add(self, batch_id: str, units: Sequence[str]) -> list[str]:
         """Adds units at the end; gives those that the list has already. Errors as of `make` and the store."""
@@ -305,7 +305,7 @@ class RunBatches:
         if standing.batch.closed_at is None and not standing.takes_units(self._now()):
             raise Conflict("this list is another day's: measure a unit of it first, or make another list")
         self._write(batch_id)
-        return self._store.add_turns(batch_id, serials)
+        return self._store.batches.add_units(batch_id, serials)
 
     def remove(self, batch_id: str, unit: str) -> None:
         """Takes a unit out that waits, or Conflict."""
@@ -413,7 +413,7 @@ class RunBatches:
     def listed(self) -> list[tuple[Batch, bool]]:
         """The lists made last, the newest first; and of each whether units may be added."""
         lists = []
-        for batch in self._store.batches():
+        for batch in self._store.batches.newest():
             standing = None if batch.closed_at is not None else self.standing(batch.id)
             now = (batch, False) if standing is None else (standing.batch, standing.takes_units(self._now()))
             lists.append(now)
@@ -425,12 +425,12 @@ class RunBatches:
         closed_at = standing.active_at + FINISHED
         if standing.batch.closed_at is None and standing.now.is_finished and closed_at <= self._now():
             with suppress(StoreError):  # the next who asks does
-                self._store.write_turns(batch_id, standing.batch.turns, standing.now.written, closed_at)
+                self._store.batches.update(batch_id, standing.batch.turns, standing.now.written, closed_at)
             standing = self._read(batch_id)
         return standing
 
     def _read(self, batch_id: str) -> Standing:
-        batch = self._store.batch(batch_id)
+        batch = self._store.batches.get(batch_id)
         runs = {turn.run_id: self._run(turn) for turn in batch.turns if turn.run_id is not None}
         document = batch.document
         return Standing(batch, settled(batch.turns, runs, document["rigs"], document["failed"]), runs)
@@ -455,7 +455,7 @@ class RunBatches:
             written = (*standing.now.written, *changed(standing))
             by_position = {turn.position: turn for turn in written}
             try:
-                self._store.write_turns(batch_id, standing.batch.turns, by_position.values(), closed_at)
+                self._store.batches.update(batch_id, standing.batch.turns, by_position.values(), closed_at)
             except ChangedMeanwhile:
                 if not left:
                     raise

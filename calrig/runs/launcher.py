@@ -68,7 +68,7 @@ class RunQueue:
         self._lock = threading.Lock()
         self._waiting: dict[str, list[str]] = {}  # by rig, the first to begin first
         self._held: dict[str, str] = {}  # rigs by run
-        for run in store.unfinished():
+        for run in store.runs.unfinished():
             if waits_its_turn(run) and run.rig is not None:
                 self._held[run.id] = run.rig
 
@@ -94,7 +94,7 @@ class RunQueue:
                 self._waiting.setdefault(rig_name, []).append(run_id)
         if rig_name is None:
             return False
-        self._store.update_run(run_id, error=None)
+        self._store.runs.update(run_id, error=None)
         self.next(rig_name)
         return True
 
@@ -142,7 +142,7 @@ class RunQueue:
 
     def _has_begun(self, rig_name: str, run_id: str) -> bool:
         try:
-            run = self._store.run(run_id)
+            run = self._store.runs.get(run_id)
             if not self._remove(rig_name, run_id) or run is None:
                 return False  # called off meanwhile
             self._begin(run)
@@ -163,7 +163,7 @@ class RunQueue:
             self._hold(rig_name, run_id)
 
     def _end(self, run_id: str, changes: RunChanges) -> None:
-        run = self._store.update_run(run_id, **changes)
+        run = self._store.runs.update(run_id, **changes)
         self._meter.of_run(run.rig or "").ended(run.status)
         self._bus.wake(run_id)
 
@@ -317,15 +317,15 @@ def mark_interrupted(store: Store, troubles: Mapping[str, str], *, keeps_queue: 
     `keeps_queue` those that only waited their turn stay `queued`, and say what they wait for now.
     """
     left = []
-    for run in store.unfinished():
+    for run in store.runs.unfinished():
         if keeps_queue and waits_its_turn(run):
-            store.update_run(run.id, error=HELD)
+            store.runs.update(run.id, error=HELD)
             continue
         left.append(run)
         trouble = troubles.get(run.rig or "")
         log.warning("run %s was interrupted: %s", run.id, trouble or "its stage stands")
         said = [DIED, *([trouble] if trouble else []), *_where_it_stands(store, run)]
-        store.update_run(run.id, status="interrupted", error="; ".join(said))
+        store.runs.update(run.id, status="interrupted", error="; ".join(said))
     return [run.id for run in left]
 
 

@@ -78,7 +78,7 @@ class Settling:
 def settling_of(rig: RigSettings, plan: Plan, store: Store | None) -> Settling:
     """As the gyro showed it in the last run on the rig whose samples are there; else the plan's own."""
     if store is not None:
-        runs, _ = store.runs(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)
+        runs, _ = store.runs.page(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)
         for run in runs:
             if not run.voided and (rang_s := _rang_s(store, run)) is not None:
                 when = f"later than {rang_s:.2f} s" if rang_s else "once the stage had arrived"
@@ -93,7 +93,7 @@ def _rang_s(store: Store, run: Run) -> float | None:
         return None
     time_s, rate_dps = [], []
     axis = AXES.index(plan.get("mount_axis", "x")[-1])
-    for block in store.sample_blocks(run.id):
+    for block in store.samples.blocks_of(run.id):
         time_s.append(np.asarray(block.time_s))
         rate_dps.append(np.asarray(block.gyro_dps)[:, axis])
         if sum(map(len, time_s)) > SAMPLES_LOOKED_AT:
@@ -103,7 +103,7 @@ def _rang_s(store: Store, run: Run) -> float | None:
     half_s = 0.5 * plan["dwell_s"]
     dwells = [
         (middle_s - half_s - plan["settle_s"], middle_s - half_s, middle_s + half_s)
-        for one in store.poses(run.id)
+        for one in store.poses.of(run.id)
         if (middle_s := one.pose.time_s) is not None
     ]
     return ring_down_s(np.concatenate(time_s), np.concatenate(rate_dps), dwells)
@@ -124,7 +124,7 @@ def precision_of(rig: RigSettings, unit: str, store: Store | None) -> Precision:
     if store is None:
         return NOT_MEASURED
     for serial in [unit, None] if unit else [None]:
-        runs, _ = store.runs(rig=rig.name, unit=serial, status="completed", limit=RUNS_LOOKED_AT)
+        runs, _ = store.runs.page(rig=rig.name, unit=serial, status="completed", limit=RUNS_LOOKED_AT)
         for run in runs:
             dwells = (run.plan or {}).get("kind") == "calibration"
             if dwells and not run.voided and (found := precision_shown(run)) is not None:
@@ -173,7 +173,7 @@ def may_sweep(
     """
     if plan.kind not in ("calibration", "sweep") or plan.asks_for_mounts:
         return MaySweep()
-    runs = [] if store is None else store.runs(rig=rig.name, limit=MOST_SWEEPS_READ)[0]
+    runs = [] if store is None else store.runs.page(rig=rig.name, limit=MOST_SWEEPS_READ)[0]
     if (silent := _without_rates(runs)) is not None:
         return MaySweep(
             because=f"a sweep needs rates, and the board sent none in run {short_name(silent.id)}"

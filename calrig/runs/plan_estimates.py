@@ -67,7 +67,7 @@ class RigTiming:
 
 def rig_pace(rig: RigSettings, store: Store | None) -> RigTiming:
     """As the last run that a rig completed shows it; assumed where there is none."""
-    runs = [] if store is None else store.runs(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)[0]
+    runs = [] if store is None else store.runs.page(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)[0]
     if store is None or not runs:
         return RigTiming()
     velocity_dps, acceleration_dps2 = _speed(runs[0], rig)
@@ -85,7 +85,7 @@ def rig_pace(rig: RigSettings, store: Store | None) -> RigTiming:
 
 
 def _poses(store: Store, run: Run) -> list[Pose]:
-    return [stored.pose for stored in store.poses(run.id)]
+    return [stored.pose for stored in store.poses.of(run.id)]
 
 
 def _speed(run: Run, rig: RigSettings) -> tuple[float, float]:
@@ -227,7 +227,7 @@ def wall_pace(rig: RigSettings, store: Store) -> float:
     A run tells where its plan says how long it takes and nobody is waited for: not one that may end early or
     whose dwells do, a wait for a temperature, several mounts, a follow-up, or one that was interrupted.
     """
-    latest, _ = store.runs(rig=rig.name, status="completed", limit=LATEST)
+    latest, _ = store.runs.page(rig=rig.name, status="completed", limit=LATEST)
     paces = [pace for run in latest if (pace := _pace_of(run, rig, store)) is not None]
     return median(paces) if paces else 1.0 / rig.time_scale
 

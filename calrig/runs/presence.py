@@ -240,10 +240,10 @@ class PresenceMonitor:
     def _left_at(self, rig_name: str) -> float | None:
         """The elevation at which the last run left the stage; None where that is not known."""
         try:
-            runs, _ = self._store.runs(rig=rig_name, limit=1)
+            runs, _ = self._store.runs.page(rig=rig_name, limit=1)
             if not runs or runs[0].status != "completed" or "stage" not in runs[0].provenance:
                 return None  # stopped on its way, or imported
-            poses = self._store.poses(runs[0].id)
+            poses = self._store.poses.of(runs[0].id)
         except StoreError:
             return None
         return poses[-1].pose.stage_deg if poses else None

@@ -216,7 +216,7 @@ class Recorder:
             self._waiting_for = None
             told["progress"] = self._progress()
             events = [("progress", told["progress"].model_dump())]
-        self._store.update_run(self.run_id, events=events, draft=draft, **told)
+        self._store.runs.update(self.run_id, events=events, draft=draft, **told)
         self._became(status, told)
 
     def waits_for(self, asked: Mount, clamped_at: Callable[[float, float], float]) -> None:
@@ -228,7 +228,7 @@ class Recorder:
         self.flush()
         self._waiting_for, self._clamped_at = asked, clamped_at
         told: RunChanges = {"status": "paused", "progress": self._progress()}
-        self._store.update_run(self.run_id, events=[("progress", told["progress"].model_dump())], **told)
+        self._store.runs.update(self.run_id, events=[("progress", told["progress"].model_dump())], **told)
         self._became("paused", told)
 
     def _became(self, status: Status, told: RunChanges) -> None:
@@ -259,7 +259,7 @@ class Recorder:
 
     def update(self, **changes: Unpack[RunChanges]) -> None:
         """Stores what nobody is told of."""
-        self._store.update_run(self.run_id, **changes)
+        self._store.runs.update(self.run_id, **changes)
 
     def skip_pose(self) -> None:
         """One planned pose will not be measured."""
@@ -274,7 +274,7 @@ class Recorder:
         self.flush()
         self._poses_total = self._poses_done
         progress = self._progress()
-        self._store.update_run(self.run_id, events=[("progress", progress.model_dump())], progress=progress)
+        self._store.runs.update(self.run_id, events=[("progress", progress.model_dump())], progress=progress)
         self._bus.wake(self.run_id)
 
     def pose(
@@ -294,7 +294,9 @@ class Recorder:
             "raw_error_deg": raw_error_deg(pose, sense),
         }
         events: list[Announced] = [("pose", told), ("progress", progress.model_dump()), *also]
-        self._store.add_pose(self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults))
+        self._store.poses.add(
+            self.run_id, index, pose, blocks, events, progress=progress, faults=dict(faults)
+        )
         self.meter.pose()
         self.meter.faults(faults)
         self._bus.wake(self.run_id)
@@ -308,7 +310,7 @@ class Recorder:
             fraction=done_s / (done_s + left_s),
             remaining_s=round(left_s, 1),
         )
-        self._store.add_samples(
+        self._store.samples.add(
             self.run_id,
             [block],
             [("progress", progress.model_dump())],
@@ -342,7 +344,7 @@ class Recorder:
         """Writes the readings that wait."""
         self._last_flush_s = self._now_s()
         if self._readings:
-            self._store.append_events(self.run_id, self._readings)
+            self._store.events.append(self.run_id, self._readings)
             self._readings = []
             self._bus.wake(self.run_id)
 

@@ -67,7 +67,7 @@ def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: fl
         planned = plan.poses(settings.limits_deg)
     except PlanError as error:
         raise Conflict(f"run {run.id} cannot be resumed: {error}") from error
-    taken = store.taken_order(run.id)
+    taken = store.spool.taken_order(run.id)
     order = {} if taken is None else taken.document  # which knows more than a bench's own spool
     return RunAssignment(
         run=run,
@@ -203,8 +203,8 @@ def _plain(value: Any) -> Any:
 
 
 def _earlier(store: Store, run: Run, plan: Plan) -> Earlier:
-    poses = [stored.pose for stored in store.poses(run.id)]
-    times_s = store.samples(run.id).time_s
+    poses = [stored.pose for stored in store.poses.of(run.id)]
+    times_s = store.samples.of(run.id).time_s
     last_s = float(times_s[-1]) + GAP_S if len(times_s) else 0.0
     since_s = 0.0 if run.started_at is None else (datetime.now(UTC) - run.started_at).total_seconds()
     begun = bool(poses) or bool(len(times_s))
@@ -218,7 +218,7 @@ def _earlier(store: Store, run: Run, plan: Plan) -> Earlier:
 
 
 def _biases(store: Store, run: Run, poses: list[Pose]) -> list[GyroBias]:
-    dwells = [store.samples(run.id, index).gyro_dps for index in range(len(poses))]
+    dwells = [store.samples.of(run.id, index).gyro_dps for index in range(len(poses))]
     return [dwell_bias(np.asarray(gyro_dps)) for gyro_dps in dwells if len(gyro_dps)]
 
 

@@ -117,7 +117,7 @@ class RunExecution:
             raise
         except Exception:
             with suppress(StoreError):  # the run's own failure is what is told
-                self._store.keep_transcripts(
+                self._store.events.save_transcripts(
                     self._task.run.id, {tape.port: tape.last_minute() for tape in tapes}
                 )
             raise
@@ -127,7 +127,7 @@ class RunExecution:
         task = self._task
         if task.plan.until is None:
             return None
-        accepted = self._store.effects_in_force(task.run.unit, task.run.rig)
+        accepted = self._store.effects.in_force(task.run.unit, task.run.rig)
         return StoppingRule(task.plan.until, task.planned, accepted, self._origin)
 
     def _note_origin(self, rig: Rig) -> None:
@@ -161,7 +161,7 @@ class RunExecution:
         its x: what it read is no elevation, and for the joint solution alone.
         """
         run, gyro = self._task.run, taking.gyro.figures(taking.felt.moves)
-        stored = self._store.poses(self._task.run.id)
+        stored = self._store.poses.of(self._task.run.id)
         poses = [one.pose for one in stored if one.excluded is None]
         self.fields["result"] = None
         if not poses or self._task.plan.mount_axis != "x":
@@ -169,7 +169,7 @@ class RunExecution:
         if self._task.verifies is not None:
             self.fields["result"] = self._task.verifies.result(poses, gyro)
             return
-        accepted = self._store.effects_in_force(run.unit, run.rig)
+        accepted = self._store.effects.in_force(run.unit, run.rig)
         ending = REACHED if taking.is_enough else ending_of(run)
         result = fitted(poses, accepted, self._origin, gyro, ending)
         self.fields["result"] = result

@@ -153,7 +153,7 @@ class RunService:
                 return self.run(run_id)
             run = self.run(run_id)
             if run.status == "interrupted" and self.crew.of_run(run_id) is None:
-                aborted = self.store.update_run(run_id, status="aborted")
+                aborted = self.store.runs.update(run_id, status="aborted")
                 self.bus.wake(run_id)
                 return aborted
         return self._aborted(self._worker(run_id, "aborted"))
@@ -255,7 +255,7 @@ class RunService:
         with self._starts.lock:
             self.crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
-            self.store.update_run(run.id, status="queued", error=None)
+            self.store.runs.update(run.id, status="queued", error=None)
             self._starts.employ(task)
         return self.run(run.id)
 

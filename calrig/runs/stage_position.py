@@ -60,7 +60,7 @@ class StagePosition:
         if self._said_deg is not None:
             axis.stands_at(self._said_deg)
             return
-        left = self._store.left_at(self._rig.name)
+        left = self._store.positions.of(self._rig.name)
         if left is None:
             return
         if left.stage_deg is None:
@@ -100,13 +100,13 @@ class StagePosition:
     def leaves(self) -> None:
         """A motion is about to be sent: until it has ended, nobody knows."""
         if self._remembers:
-            self._store.leave_at(self._rig.name, None)
+            self._store.positions.save(self._rig.name, None)
 
     def stands(self, elevation_deg: float) -> None:
         """It has come to stand."""
         if self._remembers:
             zero_deg, gain = _of(self._rig)
-            self._store.leave_at(self._rig.name, zero_deg + gain * elevation_deg)
+            self._store.positions.save(self._rig.name, zero_deg + gain * elevation_deg)
 
     def is_lost(self) -> None:
         """The stage is not where it says."""
@@ -168,7 +168,7 @@ def check_stage_at(run: Run, stage_at_deg: float | None) -> None:
 
 def is_lost_since(store: Store, run: Run) -> bool:
     """Whether a run's stage has no homing, and was left on its way or lost steps."""
-    left = None if run.rig is None or _homes(run) else store.left_at(run.rig)
+    left = None if run.rig is None or _homes(run) else store.positions.of(run.rig)
     return left is not None and left.stage_deg is None
 
 

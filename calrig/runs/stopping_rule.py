@@ -85,7 +85,7 @@ def reference_uncertainty(
     """
     if in_force is not None:
         theta_deg = np.array(elevations_deg, dtype=np.float64)
-        accepted = () if store is None else store.effects_in_force(unit, rig.name)
+        accepted = () if store is None else store.effects.in_force(unit, rig.name)
         bent = any(effect.unit is not None for effect in accepted)
         middle = np.zeros(len(theta_deg))  # of the play: from which side each is come to is not known yet
         found = map_reference(StageMap.from_frozen(in_force), theta_deg, theta_deg, middle, bent=bent)

@@ -80,7 +80,7 @@ class Webhook:
     def start(self) -> None:
         """Begins; what ended before a program died is delivered first."""
         self._service.bus.hear(self._hear)
-        self._heard.update(self._store.ends_not_noted())
+        self._heard.update(self._store.deliveries.unrecorded_ends())
         self._thread.start()
 
     def close(self) -> None:
@@ -96,7 +96,7 @@ class Webhook:
 
     def _waiting(self) -> float:
         try:
-            return self._store.deliveries_waiting()
+            return self._store.deliveries.count_waiting()
         except StoreError:
             return float("nan")
 
@@ -123,9 +123,9 @@ class Webhook:
             heard, self._heard = self._heard, set()
         try:
             for run_id in sorted(heard):
-                run = self._store.run(run_id)
+                run = self._store.runs.get(run_id)
                 if run is not None and run.status in TERMINAL:
-                    self._store.note_end(run_id, self._now())
+                    self._store.deliveries.record_end(run_id, self._now())
         except StoreError:
             with self._news:
                 self._heard |= heard
@@ -133,14 +133,14 @@ class Webhook:
 
     def deliver(self) -> float:
         """Makes the delivery that is due; seconds until it is worth another look."""
-        delivery, now = self._store.next_delivery(), self._now()
+        delivery, now = self._store.deliveries.next(), self._now()
         if delivery is None:
             return LOOK_S
         if delivery.due_at > now:
             return min(LOOK_S, (delivery.due_at - now).total_seconds())
-        if not self._store.take_delivery(delivery, now + TAKEN):
+        if not self._store.deliveries.claim(delivery, now + TAKEN):
             return 0.0
-        run = self._store.run(delivery.run_id)
+        run = self._store.runs.get(delivery.run_id)
         error = None if run is None else self._told(run)
         again_at = None
         if error is not None:
@@ -149,7 +149,7 @@ class Webhook:
                 again_at = self._now() + timedelta(seconds=AGAIN_S[delivery.tries])
             word = "given up" if again_at is None else f"tried again at {again_at:%Y-%m-%d %H:%M:%S} UTC"
             log.warning("the end of run %s could not be told (%s): %s", delivery.run_id, error, word)
-        self._store.settle_delivery(delivery, error, again_at)
+        self._store.deliveries.settle(delivery, error, again_at)
         return 0.0
 
     def _told(self, run: Run) -> str | None:

@@ -168,7 +168,7 @@ class Worker:
         self._given_up.set()
         fields: RunChanges = {"status": end.status, "error": end.reason}
         told = self.untold or fields
-        self._once(told, lambda: store.update_run(self.run_id, draft=self._measuring.draft, **told))
+        self._once(told, lambda: store.runs.update(self.run_id, draft=self._measuring.draft, **told))
 
     def _once(self, fields: RunChanges, write: Callable[[], object]) -> bool:
         """Writes the run's end unless that has been done; returns False where the store cannot be told."""

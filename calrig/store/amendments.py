@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
 
-from sqlmodel import Session, col, select
+from sqlmodel import Session
 
-from calrig.store.convert import iso_utc, run_of, run_row
-from calrig.store.database import Part
+from calrig.store.convert import run_of, run_row
+from calrig.store.database import Repository
+from calrig.store.effects import accepted_from
 from calrig.store.errors import NotFound, Refused
-from calrig.store.records import AcceptedEffect, Document, Run
+from calrig.store.records import Document, Run
 from calrig.store.runs import replace_result
-from calrig.store.tables import AcceptedEffectTable, PoseTable, RunTable, UnitTable
-from calrig.store.trail import Act, What, append
+from calrig.store.tables import PoseTable, RunTable, UnitTable
+from calrig.store.trail import act_on, append
 
 
-class Amendments(Part):
+class Amendments(Repository):
     """Changes of what counts. Nothing is deleted."""
 
-    def void_run(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
+    def void(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
         """Takes a run out of every comparison; it is kept. A second reason replaces the first."""
         with self._database.writing() as session:
             row = run_row(session, run_id)
             row.voided_reason, row.voided_at = reason, datetime.now(UTC)
-            append(session, _act("voided", row, who, reason))
+            append(session, act_on("voided", row, who, reason))
             return run_of(row)
 
-    def unvoid_run(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
+    def unvoid(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
         """Has a voided run count again.
 
         Raises:
@@ -38,21 +38,21 @@ class Amendments(Part):
             row = run_row(session, run_id)
             if row.voided_at is None:
                 raise Refused(f"run {run_id} is not voided")
-            append(session, _act("unvoided", row, who, reason, voided=row.voided_reason))
+            append(session, act_on("unvoided", row, who, reason, voided=row.voided_reason))
             row.voided_reason = row.voided_at = None
             return run_of(row)
 
-    def note_run(self, run_id: str, note: str, *, who: str | None = None) -> Run:
+    def add_note(self, run_id: str, note: str, *, who: str | None = None) -> Run:
         """Adds to what is noted of a run: below what stands there, with the day and who says it."""
         now = datetime.now(UTC)
         with self._database.writing() as session:
             row = run_row(session, run_id)
             head = f"{now:%Y-%m-%d %H:%M} UTC{f', {who}' if who else ''}: "
             row.note = f"{row.note}\n{head}{note}" if row.note else note
-            append(session, _act("noted", row, who, note=note), now)
+            append(session, act_on("noted", row, who, note=note), now)
             return run_of(row)
 
-    def move_runs(
+    def move(
         self, results: Mapping[str, Document | None], unit: str, reason: str, *, who: str | None = None
     ) -> None:
         """Gives runs to another unit, which is made where there is none; all of them or none.
@@ -75,7 +75,7 @@ class Amendments(Part):
                 session.flush()
             for run_id, result in results.items():
                 row = run_row(session, run_id)
-                for effect in _accepted_from(session, row):
+                for effect in accepted_from(session, row):
                     if effect.unit is not None and effect.withdrawn_at is None:
                         raise Refused(
                             f"{effect.name} was accepted from run {run_id} for unit {effect.unit!r}: "
@@ -85,7 +85,7 @@ class Amendments(Part):
                 moved = {"from": row.unit, "to": unit}
                 row.unit = unit
                 replace_result(session, row, result)
-                append(session, _act("moved", row, who, reason, **moved), now)
+                append(session, act_on("moved", row, who, reason, **moved), now)
 
     def exclude_pose(
         self, run_id: str, index: int, reason: str, *, result: Document | None, who: str | None = None
@@ -106,7 +106,7 @@ class Amendments(Part):
             run, pose = _pose(session, run_id, index)
             pose.excluded_reason, pose.excluded_at = reason, datetime.now(UTC)
             replace_result(session, run, result)
-            append(session, _act("excluded", run, who, reason, pose=index))
+            append(session, act_on("excluded", run, who, reason, pose=index))
             return run_of(run)
 
     def include_pose(
@@ -122,63 +122,10 @@ class Amendments(Part):
             run, pose = _pose(session, run_id, index)
             if pose.excluded_at is None:
                 raise Refused(f"pose {index} of run {run_id} is not excluded")
-            append(session, _act("included", run, who, reason, pose=index, excluded=pose.excluded_reason))
+            append(session, act_on("included", run, who, reason, pose=index, excluded=pose.excluded_reason))
             pose.excluded_reason = pose.excluded_at = None
             replace_result(session, run, result)
             return run_of(run)
-
-    def accept_effects(
-        self, run_id: str, accepted: Sequence[AcceptedEffect], *, who: str | None = None
-    ) -> None:
-        """Puts effects of a run's diagnosis in force from now on; the diagnosis says since when.
-
-        Each for its unit or its rig, in place of an earlier one of that name.
-        """
-        now = datetime.now(UTC)
-        with self._database.writing() as session:
-            run = run_row(session, run_id)
-            if run.diagnosis is not None:
-                run.diagnosis = _marked(run.diagnosis, accepted, now)
-            session.add_all(
-                AcceptedEffectTable(
-                    run_id=run.id,
-                    unit=effect.unit,
-                    rig=effect.rig,
-                    name=effect.name,
-                    origin=effect.origin,
-                    parameters=effect.parameters,
-                    accepted_at=now,
-                )
-                for effect in accepted
-            )
-            append(session, _act("accepted", run, who, effects=[e.name for e in accepted]), now)
-
-    def take_back_effects(
-        self, run_id: str, names: Sequence[str], reason: str, *, who: str | None = None
-    ) -> None:
-        """Takes effects that were accepted from a run out of force; what was in force before is so again.
-
-        Raises:
-            Refused: one of them was not accepted from this run, or was taken back.
-        """
-        now = datetime.now(UTC)
-        with self._database.writing() as session:
-            run = run_row(session, run_id)
-            standing = [one for one in _accepted_from(session, run) if one.withdrawn_at is None]
-            for name in names:
-                if name not in {one.name for one in standing}:
-                    listed = ", ".join(dict.fromkeys(one.name for one in standing)) or "none"
-                    raise Refused(f"{name} is not accepted from run {run_id}; accepted from it: {listed}")
-            for one in standing:
-                if one.name in names:
-                    one.withdrawn_at = now
-            if run.diagnosis is not None:
-                run.diagnosis = _unmarked(run.diagnosis, names)
-            append(session, _act("taken_back", run, who, reason, effects=list(dict.fromkeys(names))), now)
-
-
-def _act(what: What, run: RunTable, who: str | None, reason: str | None = None, **detail: Any) -> Act:
-    return Act(what, who=who, unit=run.unit, rig=run.rig, run_id=run.uid, reason=reason, detail=detail)
 
 
 def _pose(session: Session, run_id: str, index: int) -> tuple[RunTable, PoseTable]:
@@ -187,25 +134,3 @@ def _pose(session: Session, run_id: str, index: int) -> tuple[RunTable, PoseTabl
     if row is None:
         raise NotFound(f"run {run_id} has no pose {index}")
     return run, row
-
-
-def _accepted_from(session: Session, run: RunTable) -> Sequence[AcceptedEffectTable]:
-    wanted = select(AcceptedEffectTable).where(AcceptedEffectTable.run_id == run.id)
-    return session.exec(wanted.order_by(col(AcceptedEffectTable.id))).all()
-
-
-def _marked(diagnosis: Document, accepted: Sequence[AcceptedEffect], now: datetime) -> Document:
-    """The diagnosis, saying when effects of it were accepted: those of that name and with those values."""
-    at = iso_utc(now)
-    marked = []
-    for effect in diagnosis["effects"]:
-        values = {name: given and given["value"] for name, given in effect["parameters"].items()}
-        is_one = any((one.name, one.parameters) == (effect["name"], values) for one in accepted)
-        marked.append({**effect, "accepted_at": at} if is_one else effect)
-    return {**diagnosis, "effects": marked}
-
-
-def _unmarked(diagnosis: Document, names: Sequence[str]) -> Document:
-    """The diagnosis without a word of their acceptance."""
-    effects = [{**e, "accepted_at": None} if e["name"] in names else e for e in diagnosis["effects"]]
-    return {**diagnosis, "effects": effects}

@@ -10,7 +10,7 @@ from typing import Literal, cast
 
 from sqlmodel import Session, col, select
 
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import ChangedMeanwhile, NotFound, Refused
 from calrig.store.records import Document
 from calrig.store.tables import BatchTable, BatchUnitTable
@@ -51,10 +51,10 @@ class Batch:
     turns: list[Turn] = field(default_factory=list)
 
 
-class Batches(Part):
+class Batches(Repository):
     """Every list there was."""
 
-    def keep_batch(self, document: Document, units: Sequence[str]) -> Batch:
+    def create(self, document: Document, units: Sequence[str]) -> Batch:
         """Keeps a new list."""
         row = BatchTable(id=str(uuid.uuid4()), created_at=datetime.now(UTC), document=document)
         turns = [Turn(position, unit) for position, unit in enumerate(units)]
@@ -64,12 +64,12 @@ class Batches(Part):
             session.add_all(_row(row.id, turn) for turn in turns)
             return Batch(row.id, row.created_at, None, document, turns)
 
-    def batch(self, batch_id: str) -> Batch:
+    def get(self, batch_id: str) -> Batch:
         """One by its id, or NotFound."""
         with self._database.reading() as session:
             return _batch(session, batch_id)
 
-    def batches(self, limit: int = 20) -> list[Batch]:
+    def newest(self, limit: int = 20) -> list[Batch]:
         """Those made last, the newest first, without their turns."""
         newest_first = select(BatchTable).order_by(col(BatchTable.created_at).desc()).limit(limit)
         with self._database.reading() as session:
@@ -78,7 +78,7 @@ class Batches(Part):
                 for row in session.exec(newest_first)
             ]
 
-    def add_turns(self, batch_id: str, units: Sequence[str]) -> list[str]:
+    def add_units(self, batch_id: str, units: Sequence[str]) -> list[str]:
         """Adds units at the end of an open list; gives those that it has already, whose turn stays as it is.
 
         One that failed for good gets another turn: who names it again has mended it.
@@ -96,7 +96,7 @@ class Batches(Part):
             session.add_all(_row(batch_id, Turn(first + k, unit)) for k, unit in enumerate(new))
             return [unit for unit in units if unit in known]
 
-    def write_turns(
+    def update(
         self,
         batch_id: str,
         before: Sequence[Turn],

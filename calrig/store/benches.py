@@ -23,7 +23,7 @@ from calrig.run_ids import new_run_id
 from calrig.store import event_log, trail
 from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
 from calrig.store.convert import run_of, run_row
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import Refused
 from calrig.store.records import Document, Run
 from calrig.store.runs import change, first_progress, new_row
@@ -60,164 +60,40 @@ class Order:
     """Whether the bench is, which then says nothing more of the run."""
 
 
-class Benches(Part):
-    """Benches and their orders."""
+class Benches(Repository):
+    """Benches that have joined a centre and were not revoked."""
 
-    def benches(self) -> list[Bench]:
+    def all(self) -> list[Bench]:
         """Those that are not revoked, by name."""
         wanted = select(BenchTable).where(col(BenchTable.revoked_at).is_(None)).order_by(BenchTable.name)
         with self._database.reading() as session:
             now = now_there(session)
             return [_bench(row, now) for row in session.exec(wanted)]
 
-    def order_run(
-        self,
-        *,
-        bench: str,
-        rig: str,
-        unit: str,
-        plan: Document,
-        provenance: Document,
-        poses_total: int,
-        operator: str | None = None,
-        who: str | None = None,
-        note: str | None = None,
-        follows: str | None = None,
-        more: Mapping[str, Any] | None = None,
-        waits: bool = False,
-    ) -> Run:
-        """Makes a queued run and orders its bench to begin it, all at once or not at all.
-
-        `more` is what the bench needs to know beside the run itself; with `waits` the run waits its turn
-        where the rig is busy. The other arguments are those of `Store.create_run`.
-
-        Raises:
-            Refused: the rig is busy, and with which run.
-        """
-        now = datetime.now(UTC)
-        with self._database.writing() as session:
-            if not waits:
-                _require_free(session, bench, rig)
-            row = new_row(
-                session,
-                now,
-                uid=new_run_id(),
-                unit=unit,
-                rig=rig,
-                status="queued",
-                plan=plan,
-                progress=first_progress(0, poses_total, "queued"),
-                follows=follows,
-                provenance=provenance,
-                operator=operator,
-                note=note,
-            )
-            event_log.append(session, row, [event_log.state(row)])
-            trail.append(session, Act("started", who=who, unit=unit, rig=rig, run_id=row.uid), now)
-            document = {
-                "unit": unit,
-                "plan": plan,
-                "operator": operator,
-                "note": note,
-                "follows": follows,
-                "poses_total": poses_total,
-                "provenance": provenance,
-                **(more or {}),
-            }
-            order = RunOrderTable(
-                run_uid=row.uid,
-                bench=bench,
-                rig=rig,
-                epoch=1,
-                wish="begin",
-                document=document,
-                ordered_at=now,
-            )
-            session.add(order)
-            session.flush()
-            _wake(session, bench, rig, row.uid, order.epoch)
-            return run_of(row)
-
-    def order_resumption(self, run_id: str, stage_at_deg: float | None = None) -> Run:
-        """Orders the bench of an interrupted run to take it up again.
-
-        `stage_at_deg` is a person's word for where a stage without homing stands now; what was said when
-        the run was ordered first does not count any more.
-
-        Raises:
-            NotFound: there is no such run.
-            Refused: it is not interrupted, no bench has it, or its rig is busy.
-        """
-        with self._database.writing() as session:
-            row = run_row(session, run_id)
-            order = session.get(RunOrderTable, run_id)
-            if row.status != "interrupted":
-                raise Refused(f"run {run_id} is {row.status} and cannot be resumed")
-            if order is None:
-                raise Refused(f"run {run_id} is of no bench of this centre and cannot be resumed")
-            _require_free(session, order.bench, order.rig)
-            epoch = session.scalar(
-                update(RunOrderTable)
-                .where(col(RunOrderTable.run_uid) == run_id)
-                .values(
-                    epoch=RunOrderTable.epoch + 1,
-                    wish="resume",
-                    document={**order.document, "stage_at_deg": stage_at_deg},
-                    ordered_at=datetime.now(UTC),
-                )
-                .returning(col(RunOrderTable.epoch))
-            )
-            assert epoch is not None  # noqa: S101 (orders are never deleted)
-            row.status, row.error = "queued", None  # the bench announces it: the numbers are its own
-            _wake(session, order.bench, order.rig, run_id, epoch)
-            return run_of(row)
-
-    def order_of(self, run_id: str) -> Order | None:
-        """The order of a run; None of one that no bench has."""
-        wanted = select(RunOrderTable, BenchTable.revoked_at).join(
-            BenchTable, col(BenchTable.name) == col(RunOrderTable.bench)
+    def backlog(self) -> Backlog:
+        """In one state of the store. Whatever waits to be taken is of a queued run: those are few."""
+        orders = (
+            select(RunOrderTable.bench, RunOrderTable.rig, func.count(), func.min(RunOrderTable.ordered_at))
+            .join(RunTable, col(RunTable.uid) == col(RunOrderTable.run_uid))
+            .where(RunTable.status == "queued", NOT_TAKEN)
+            .group_by(col(RunOrderTable.bench), col(RunOrderTable.rig))
         )
+        parcels = select(ParcelTable.bench, func.count(), func.min(ParcelTable.delivered_at)).group_by(
+            col(ParcelTable.bench)
+        )
+        commands = select(BenchCommandTable.bench, func.count()).group_by(col(BenchCommandTable.bench))
         with self._database.reading() as session:
-            found = session.exec(wanted.where(RunOrderTable.run_uid == run_id)).first()
-            if found is None:
-                return None
-            row, revoked_at = found
-            return Order(
-                row.run_uid, row.bench, row.rig, row.epoch, row.wish, row.taken_epoch, revoked_at is not None
+            now = now_there(session)
+            unanswered = commands.where(
+                col(BenchCommandTable.answered_at).is_(None),
+                col(BenchCommandTable.asked_at) > now - RECENT,
+                col(BenchCommandTable.asked_at) < now - IN_TIME,
             )
-
-    def withdraw_order(self, run_id: str) -> bool:
-        """Takes an order back that its bench has not taken; returns whether there was one.
-
-        A run that was never begun is `aborted`, one that was to be resumed `interrupted` as before.
-        """
-        with self._database.writing() as session:
-            if not take_back(session, col(RunOrderTable.run_uid) == run_id):
-                return False
-            _settle(session, None)
-            return True
-
-    def settle_withdrawn(self, error: str | None = NOT_BEGUN) -> None:
-        """Says of the runs whose order was taken back what became of them, where nobody has yet."""
-        with self._database.reading() as session:
-            if session.exec(_withdrawn().limit(1)).first() is None:
-                return  # nobody waits for a turn to write nothing
-        with self._database.writing() as session:
-            _settle(session, error)
-
-    def end_orphan(self, run_id: str) -> Run:
-        """Aborts a run whose bench was revoked: it says nothing more of it."""
-        with self._database.writing() as session:
-            row = run_row(session, run_id)
-            if row.status in (*UNFINISHED, "interrupted"):
-                change(session, row, (), {"status": "aborted", "error": "its bench was revoked"})
-            return run_of(row)
-
-    def busy_rigs(self) -> dict[tuple[str, str], str]:
-        """The unfinished run of each bench's rig that has one; of several the one that goes on."""
-        with self._database.reading() as session:
-            found = session.exec(_unfinished())
-            return {(bench, rig): uid for bench, rig, uid in reversed(found.all())}
+            return Backlog(
+                {(bench, rig): _waiting(n, at, now) for bench, rig, n, at in session.exec(orders)},
+                {bench: _waiting(n, at, now) for bench, n, at in session.exec(parcels)},
+                dict(session.exec(unanswered).all()),
+            )
 
 
 def now_there(session: Session) -> datetime:
@@ -322,33 +198,157 @@ class Backlog:
     unanswered: dict[str, int] = field(default_factory=dict)
 
 
-class BenchBacklog(Part):
-    """Of all benches."""
+class Orders(Repository):
+    """What each bench is to do with runs. Only the newest epoch of an order counts."""
 
-    def backlog(self) -> Backlog:
-        """In one state of the store. Whatever waits to be taken is of a queued run: those are few."""
-        orders = (
-            select(RunOrderTable.bench, RunOrderTable.rig, func.count(), func.min(RunOrderTable.ordered_at))
-            .join(RunTable, col(RunTable.uid) == col(RunOrderTable.run_uid))
-            .where(RunTable.status == "queued", NOT_TAKEN)
-            .group_by(col(RunOrderTable.bench), col(RunOrderTable.rig))
+    def create(
+        self,
+        *,
+        bench: str,
+        rig: str,
+        unit: str,
+        plan: Document,
+        provenance: Document,
+        poses_total: int,
+        operator: str | None = None,
+        who: str | None = None,
+        note: str | None = None,
+        follows: str | None = None,
+        more: Mapping[str, Any] | None = None,
+        waits: bool = False,
+    ) -> Run:
+        """Makes a queued run and orders its bench to begin it, all at once or not at all.
+
+        `more` is what the bench needs to know beside the run itself; with `waits` the run waits its turn
+        where the rig is busy. The other arguments are those of `Store.create_run`.
+
+        Raises:
+            Refused: the rig is busy, and with which run.
+        """
+        now = datetime.now(UTC)
+        with self._database.writing() as session:
+            if not waits:
+                _require_free(session, bench, rig)
+            row = new_row(
+                session,
+                now,
+                uid=new_run_id(),
+                unit=unit,
+                rig=rig,
+                status="queued",
+                plan=plan,
+                progress=first_progress(0, poses_total, "queued"),
+                follows=follows,
+                provenance=provenance,
+                operator=operator,
+                note=note,
+            )
+            event_log.append(session, row, [event_log.state(row)])
+            trail.append(session, Act("started", who=who, unit=unit, rig=rig, run_id=row.uid), now)
+            document = {
+                "unit": unit,
+                "plan": plan,
+                "operator": operator,
+                "note": note,
+                "follows": follows,
+                "poses_total": poses_total,
+                "provenance": provenance,
+                **(more or {}),
+            }
+            order = RunOrderTable(
+                run_uid=row.uid,
+                bench=bench,
+                rig=rig,
+                epoch=1,
+                wish="begin",
+                document=document,
+                ordered_at=now,
+            )
+            session.add(order)
+            session.flush()
+            _wake(session, bench, rig, row.uid, order.epoch)
+            return run_of(row)
+
+    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
+        """Orders the bench of an interrupted run to take it up again.
+
+        `stage_at_deg` is a person's word for where a stage without homing stands now; what was said when
+        the run was ordered first does not count any more.
+
+        Raises:
+            NotFound: there is no such run.
+            Refused: it is not interrupted, no bench has it, or its rig is busy.
+        """
+        with self._database.writing() as session:
+            row = run_row(session, run_id)
+            order = session.get(RunOrderTable, run_id)
+            if row.status != "interrupted":
+                raise Refused(f"run {run_id} is {row.status} and cannot be resumed")
+            if order is None:
+                raise Refused(f"run {run_id} is of no bench of this centre and cannot be resumed")
+            _require_free(session, order.bench, order.rig)
+            epoch = session.scalar(
+                update(RunOrderTable)
+                .where(col(RunOrderTable.run_uid) == run_id)
+                .values(
+                    epoch=RunOrderTable.epoch + 1,
+                    wish="resume",
+                    document={**order.document, "stage_at_deg": stage_at_deg},
+                    ordered_at=datetime.now(UTC),
+                )
+                .returning(col(RunOrderTable.epoch))
+            )
+            assert epoch is not None  # noqa: S101 (orders are never deleted)
+            row.status, row.error = "queued", None  # the bench announces it: the numbers are its own
+            _wake(session, order.bench, order.rig, run_id, epoch)
+            return run_of(row)
+
+    def of(self, run_id: str) -> Order | None:
+        """The order of a run; None of one that no bench has."""
+        wanted = select(RunOrderTable, BenchTable.revoked_at).join(
+            BenchTable, col(BenchTable.name) == col(RunOrderTable.bench)
         )
-        parcels = select(ParcelTable.bench, func.count(), func.min(ParcelTable.delivered_at)).group_by(
-            col(ParcelTable.bench)
-        )
-        commands = select(BenchCommandTable.bench, func.count()).group_by(col(BenchCommandTable.bench))
         with self._database.reading() as session:
-            now = now_there(session)
-            unanswered = commands.where(
-                col(BenchCommandTable.answered_at).is_(None),
-                col(BenchCommandTable.asked_at) > now - RECENT,
-                col(BenchCommandTable.asked_at) < now - IN_TIME,
+            found = session.exec(wanted.where(RunOrderTable.run_uid == run_id)).first()
+            if found is None:
+                return None
+            row, revoked_at = found
+            return Order(
+                row.run_uid, row.bench, row.rig, row.epoch, row.wish, row.taken_epoch, revoked_at is not None
             )
-            return Backlog(
-                {(bench, rig): _waiting(n, at, now) for bench, rig, n, at in session.exec(orders)},
-                {bench: _waiting(n, at, now) for bench, n, at in session.exec(parcels)},
-                dict(session.exec(unanswered).all()),
-            )
+
+    def withdraw(self, run_id: str) -> bool:
+        """Takes an order back that its bench has not taken; returns whether there was one.
+
+        A run that was never begun is `aborted`, one that was to be resumed `interrupted` as before.
+        """
+        with self._database.writing() as session:
+            if not take_back(session, col(RunOrderTable.run_uid) == run_id):
+                return False
+            _settle(session, None)
+            return True
+
+    def settle_withdrawn(self, error: str | None = NOT_BEGUN) -> None:
+        """Says of the runs whose order was taken back what became of them, where nobody has yet."""
+        with self._database.reading() as session:
+            if session.exec(_withdrawn().limit(1)).first() is None:
+                return  # nobody waits for a turn to write nothing
+        with self._database.writing() as session:
+            _settle(session, error)
+
+    def end_orphan(self, run_id: str) -> Run:
+        """Aborts a run whose bench was revoked: it says nothing more of it."""
+        with self._database.writing() as session:
+            row = run_row(session, run_id)
+            if row.status in (*UNFINISHED, "interrupted"):
+                change(session, row, (), {"status": "aborted", "error": "its bench was revoked"})
+            return run_of(row)
+
+    def busy_rigs(self) -> dict[tuple[str, str], str]:
+        """The unfinished run of each bench's rig that has one; of several the one that goes on."""
+        with self._database.reading() as session:
+            found = session.exec(_unfinished())
+            return {(bench, rig): uid for bench, rig, uid in reversed(found.all())}
 
 
 def _waiting(number: int, oldest_at: datetime, now: datetime) -> Waiting:
@@ -358,10 +358,10 @@ def _waiting(number: int, oldest_at: datetime, now: datetime) -> Waiting:
 Kind = Literal["stop", "abort", "pause", "resume", "look"]
 
 
-class BenchCommands(Part):
+class Commands(Repository):
     """Commands to benches. None of these waits for other writers: a stop may not."""
 
-    def ask_bench(self, bench: str, kind: Kind, *, rig: str | None = None, run_uid: str | None = None) -> int:
+    def send(self, bench: str, kind: Kind, *, rig: str | None = None, run_uid: str | None = None) -> int:
         """Asks something of a bench; a stop also takes back what waits to begin on the rig.
 
         A look is asked for every few seconds, and nobody waits for its answer: of each rig the last one is
@@ -388,13 +388,13 @@ class BenchCommands(Part):
             session.flush()
             return row.id
 
-    def answer_of(self, command: int) -> Document | None:
+    def answer(self, command: int) -> Document | None:
         """What a bench answered: `status` as of HTTP, and `detail`; None before it has."""
         with self._database.reading() as session:
             row = session.get(BenchCommandTable, command)
             return None if row is None or row.answered_at is None else row.answer or {}
 
-    def withdraw_command(self, command: int) -> bool:
+    def withdraw(self, command: int) -> bool:
         """Takes a command back that its bench has not taken; returns whether it did."""
         withdrawn = (
             update(BenchCommandTable)

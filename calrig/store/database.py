@@ -97,8 +97,8 @@ class Database(ABC):
         return NotText(f"{self.name}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8")
 
 
-class Part:
-    """A part of `calrig.store.Store`: the methods about one subject, each of them one transaction."""
+class Repository:
+    """Base of the repositories of a `calrig.store.Store`: each method is one transaction."""
 
     def __init__(self, database: Database) -> None:
         self._database = database

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from sqlmodel import Session, select
 
 from calrig.store.bench_tables import BenchTable
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused
 from calrig.store.rig_queues import BENCH_NAME
 from calrig.store.trail import Act, append
@@ -35,15 +35,15 @@ class Membership:
     last_seen_at: datetime | None
 
 
-class Enrolment(Part):
+class Enrolment(Repository):
     """Which benches there are. Each change goes into the trail in the same transaction."""
 
-    def memberships(self) -> list[Membership]:
+    def benches(self) -> list[Membership]:
         """Every bench by name, those that were revoked as well."""
         with self._database.reading() as session:
             return [_membership(row) for row in session.exec(select(BenchTable).order_by(BenchTable.name))]
 
-    def add_bench(
+    def add(
         self, name: str, hall: str | None = None, *, who: str | None = None, now: datetime | None = None
     ) -> tuple[Membership, str]:
         """Lets a bench join within a day, by a code that is told here and never again.
@@ -71,7 +71,7 @@ class Enrolment(Part):
             append(session, Act("bench_added", who=who, detail={"bench": name, "hall": row.hall}), now)
             return _membership(row), code
 
-    def enroll_bench(
+    def enroll(
         self,
         code: str,
         *,
@@ -85,7 +85,7 @@ class Enrolment(Part):
         The code is looked up by its hash: how long that takes says nothing about those that are known.
 
         Args:
-            code: as `add_bench` told it.
+            code: as `add` told it.
             host: by which agents reach the database's server; None where the centre's does.
             port: likewise.
             is_elsewhere: whether the agent runs on another machine than the centre.
@@ -114,7 +114,7 @@ class Enrolment(Part):
             append(session, Act("bench_enrolled", detail={"bench": row.name}), now)
             return row.name, url
 
-    def revoke_bench(self, name: str, *, who: str | None = None) -> Membership:
+    def revoke(self, name: str, *, who: str | None = None) -> Membership:
         """Lets a bench in no more and ends its connections; what it measured stays.
 
         It is locked out before anything is written: it may hold the very lock that a write waits for.

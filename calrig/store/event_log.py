@@ -10,7 +10,7 @@ from typing import Any
 from sqlmodel import Session, col, func, insert, select
 
 from calrig.store.convert import check_texts, run_row
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import Unreadable
 from calrig.store.records import Event
 from calrig.store.tables import EventTable, RunTable, TranscriptTable
@@ -19,10 +19,10 @@ Announced = tuple[str, Mapping[str, Any]]
 """An event's type and data."""
 
 
-class EventLog(Part):
+class EventLog(Repository):
     """Events and transcripts of runs."""
 
-    def append_events(self, run_id: str, events: Sequence[Announced]) -> list[int]:
+    def append(self, run_id: str, events: Sequence[Announced]) -> list[int]:
         """Appends events to a run's log.
 
         Returns:
@@ -31,7 +31,7 @@ class EventLog(Part):
         with self._database.writing() as session:
             return append(session, run_row(session, run_id), events)
 
-    def events_after(self, run_id: str, seq: int = 0, limit: int = 1000) -> list[Event]:
+    def after(self, run_id: str, seq: int = 0, limit: int = 1000) -> list[Event]:
         """At most `limit` events that follow number `seq`, in order."""
         with self._database.reading() as session:
             run = run_row(session, run_id)
@@ -56,7 +56,7 @@ class EventLog(Part):
             wanted = select(EventTable).where(EventTable.run_id == run.id, EventTable.type == "pose")
             return {int(row.data["index"]): row.at for row in session.exec(wanted)}
 
-    def keep_transcripts(self, run_id: str, texts: Mapping[str, str]) -> None:
+    def save_transcripts(self, run_id: str, texts: Mapping[str, str]) -> None:
         """Keeps what went over each port of a run."""
         with self._database.writing() as session:
             run = run_row(session, run_id)

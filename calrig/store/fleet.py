@@ -26,7 +26,7 @@ from calrig.calibration.poses import COLUMNS, GYRO_MEANS
 from calrig.estimation.angles import FloatArray
 from calrig.store import checksums
 from calrig.store.convert import POSE_NUMBERS
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import Unreadable
 from calrig.store.records import Document
 from calrig.store.tables import FleetFindingTable, LogStudyTable, PoseTable, RunTable
@@ -78,7 +78,7 @@ class ListedRun:
     n_poses: int
 
 
-class Fleet(Part):
+class Fleet(Repository):
     """What there is of all runs together."""
 
     def completed_runs(self) -> Iterator[list[ListedRun]]:
@@ -198,22 +198,22 @@ class Finding:
     verdict: str | None
 
 
-class FleetFindings(Part):
+class Findings(Repository):
     """One finding a run, the last one."""
 
-    def findings(self) -> dict[str, Finding]:
+    def all(self) -> dict[str, Finding]:
         """All of them, by the run's id."""
         with self._database.reading() as session:
             rows = session.connection().execute(sqlalchemy.select(*_LISTED_FINDINGS))
             return {run_id: Finding(*row) for run_id, *row in rows}
 
-    def finding_document(self, run_id: str) -> Document | None:
+    def document(self, run_id: str) -> Document | None:
         """The whole diagnosis; None where there is none."""
         with self._database.reading() as session:
             row = session.get(FleetFindingTable, run_id)
             return None if row is None else row.diagnosis
 
-    def keep_finding(
+    def save(
         self,
         run_id: str,
         poses_sha256: str,
@@ -258,10 +258,10 @@ class LogStudy:
     file_name: str
 
 
-class LogStudies(Part):
+class Studies(Repository):
     """The studies there are."""
 
-    def keep_study(
+    def save(
         self, kind: StudyKind, file_name: str, document: Document, *, who: str | None = None
     ) -> LogStudy:
         """Keeps what was found in a log."""
@@ -277,7 +277,7 @@ class LogStudies(Part):
             session.add(row)
             return _of(row)
 
-    def studies(self) -> list[LogStudy]:
+    def newest(self) -> list[LogStudy]:
         """The latest of them, the newest first, without what they found."""
         wanted = sqlalchemy.select(
             _STUDY.id, _STUDY.created_at, _STUDY.studied_by, _STUDY.kind, _STUDY.file_name
@@ -285,13 +285,13 @@ class LogStudies(Part):
         with self._database.reading() as session:
             return [LogStudy(*row) for row in session.connection().execute(wanted.limit(MOST_LISTED))]
 
-    def study(self, study_id: str) -> tuple[LogStudy, Document] | None:
+    def get(self, study_id: str) -> tuple[LogStudy, Document] | None:
         """One with what it found; None where there is none of that id."""
         with self._database.reading() as session:
             row = session.exec(select(LogStudyTable).where(col(LogStudyTable.id) == study_id)).first()
             return None if row is None else (_of(row), row.document)
 
-    def remove_study(self, study_id: str) -> bool:
+    def remove(self, study_id: str) -> bool:
         """Whether there was one."""
         with self._database.writing() as session:
             row = session.get(LogStudyTable, study_id)

@@ -14,7 +14,7 @@ from sqlmodel import Session, col, select
 from calrig.canonical_json import canonical, sha256_of
 from calrig.store import trail
 from calrig.store.convert import iso_utc, run_row
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
 from calrig.store.tables import IssuedCalibrationTable, RunTable
@@ -110,7 +110,7 @@ def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTab
     return row
 
 
-class Issued(Part):
+class Revisions(Repository):
     """The revisions of units' calibrations. At most one of a unit is in force."""
 
     def issue(self, run_id: str, draft: Draft) -> Revision:
@@ -118,7 +118,7 @@ class Issued(Part):
         with self._database.writing() as session:
             return _revision(issue(session, run_row(session, run_id), draft))
 
-    def revisions(self, unit: str) -> list[Revision]:
+    def of(self, unit: str) -> list[Revision]:
         """All of a unit's, newest first."""
         wanted = (
             select(IssuedCalibrationTable)
@@ -128,7 +128,7 @@ class Issued(Part):
         with self._database.reading() as session:
             return [_revision(row) for row in session.exec(wanted)]
 
-    def revision(self, unit: str, number: int) -> Revision | None:
+    def get(self, unit: str, number: int) -> Revision | None:
         """One of a unit's, or None."""
         with self._database.reading() as session:
             row = session.get(IssuedCalibrationTable, (unit, number))
@@ -178,7 +178,7 @@ class Issued(Part):
             session.flush()
             return _revision(row)
 
-    def units_without_revision(self) -> list[str]:
+    def units_without(self) -> list[str]:
         """Units that runs are of and no revision is."""
         issued = select(IssuedCalibrationTable.unit)
         wanted = select(RunTable.unit).where(col(RunTable.unit).not_in(issued)).distinct()

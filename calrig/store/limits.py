@@ -7,22 +7,22 @@ from collections.abc import Sequence
 from sqlmodel import Session, col, delete, select
 
 from calrig.model.verdict import Limit
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.tables import LimitTable
 from calrig.store.trail import Act, append
 
 _IN_THIS_SESSION = "limits"
 
 
-class Limits(Part):
+class Limits(Repository):
     """What units are held against."""
 
-    def limits(self) -> list[Limit]:
+    def all(self) -> list[Limit]:
         """All of them; the first that matches a unit counts."""
         with self._database.reading() as session:
             return list(limits_of(session))
 
-    def replace_limits(self, limits: Sequence[Limit], *, who: str | None, reason: str | None = None) -> None:
+    def replace(self, limits: Sequence[Limit], *, who: str | None, reason: str | None = None) -> None:
         """Puts others in their place, and into the trail where they differ."""
         with self._database.writing() as session:
             before = limits_of(session)

@@ -25,7 +25,7 @@ from calrig.calibration.poses import Pose
 from calrig.model.run import TERMINAL, Status
 from calrig.store.bench_tables import DeliveryTable, TakenOrderTable
 from calrig.store.convert import iso_utc, pose_of, run_of, run_row
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.records import Document
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 
@@ -340,7 +340,7 @@ class Outbox:
         return math.ceil(self.n_events / EVENTS_A_PARCEL) + self.n_blocks
 
 
-class Spool(Part):
+class Spool(Repository):
     """What a bench keeps of its dealings with the centre."""
 
     def take_order(self, run_id: str, epoch: int, document: Document) -> None:
@@ -372,7 +372,7 @@ class Spool(Part):
             epoch = 1 if order is None else order.epoch  # a run begun here counts as the first order of it
             return next_parcels(session, row, epoch, Delivered() if before is None else _delivered(before))
 
-    def delivered(self, parcels: Sequence[Parcel]) -> None:
+    def mark_delivered(self, parcels: Sequence[Parcel]) -> None:
         """Keeps that the centre has these, which are all that lay before the last one of each run."""
         last = {parcel.run_id: parcel.after for parcel in parcels}
         with self._database.writing() as session:

@@ -26,7 +26,7 @@ from calrig.store.convert import (
     run_row,
     unpacked_block,
 )
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Unreadable
 from calrig.store.event_log import Announced
 from calrig.store.records import RawSamples, RunChanges, SampleBlock, StoredPose, filtering_of, map_of
@@ -71,10 +71,10 @@ VARIABLES = 500
 """In one statement; SQLite takes a thousand."""
 
 
-class Poses(Part):
+class Poses(Repository):
     """What runs measured."""
 
-    def add_pose(
+    def add(
         self,
         run_id: str,
         index: int,
@@ -88,7 +88,7 @@ class Poses(Part):
         So what was announced is in the database.
 
         Returns:
-            The events' numbers, as `append_events`.
+            The events' numbers, as `EventLog.append`.
         """
         blocks = [_columns_of(block) for block in samples]
         with self._database.writing() as session:
@@ -97,21 +97,7 @@ class Poses(Part):
             session.add_all(SampleBlockTable(run_id=run.id, **block) for block in blocks)
             return change(session, run, events, changes)
 
-    def add_samples(
-        self,
-        run_id: str,
-        samples: Sequence[SampleBlock],
-        events: Sequence[Announced] = (),
-        **changes: Unpack[RunChanges],
-    ) -> list[int]:
-        """Stores samples of no pose, as a static log has them, with events and changes as `add_pose`."""
-        blocks = [_columns_of(block) for block in samples]
-        with self._database.writing() as session:
-            run = run_row(session, run_id)
-            session.add_all(SampleBlockTable(run_id=run.id, **block) for block in blocks)
-            return change(session, run, events, changes)
-
-    def poses(self, run_id: str, *, include_excluded: bool = True) -> list[StoredPose]:
+    def of(self, run_id: str, *, include_excluded: bool = True) -> list[StoredPose]:
         """The poses of a run by index."""
         with self._database.reading() as session:
             run = run_row(session, run_id)
@@ -122,7 +108,7 @@ class Poses(Part):
             wanted_ones = [pose for pose in found if include_excluded or pose.excluded is None]
             return put_upon(wanted_ones, map_in_use(session, run))
 
-    def pose_batches(self, run_id: str) -> Iterator[list[StoredPose]]:
+    def batches_of(self, run_id: str) -> Iterator[list[StoredPose]]:
         """The same, excluded ones among them, some at a time as they are asked for.
 
         Raises:
@@ -151,14 +137,14 @@ class Poses(Part):
             last = batch[-1].index
             yield put_upon(batch, in_use)
 
-    def count_poses(self, run_id: str) -> int:
+    def count(self, run_id: str) -> int:
         """How many poses of a run count."""
         with self._database.reading() as session:
             run = run_row(session, run_id)
             counting = (PoseTable.run_id == run.id, col(PoseTable.excluded_reason).is_(None))
             return session.exec(select(func.count()).select_from(PoseTable).where(*counting)).one()
 
-    def excluded_poses(self, run_id: str) -> list[int]:
+    def excluded(self, run_id: str) -> list[int]:
         """Indices of the poses of a run that do not count, in order."""
         with self._database.reading() as session:
             run = run_row(session, run_id)
@@ -167,7 +153,25 @@ class Poses(Part):
             )
             return sorted(session.exec(wanted))
 
-    def samples(self, run_id: str, pose: int | None = None) -> RawSamples:
+
+class Samples(Repository):
+    """Raw samples of runs, in compressed blocks of one move or one dwell."""
+
+    def add(
+        self,
+        run_id: str,
+        samples: Sequence[SampleBlock],
+        events: Sequence[Announced] = (),
+        **changes: Unpack[RunChanges],
+    ) -> list[int]:
+        """Stores samples of no pose, as a static log has them, with events and changes as `Poses.add`."""
+        blocks = [_columns_of(block) for block in samples]
+        with self._database.writing() as session:
+            run = run_row(session, run_id)
+            session.add_all(SampleBlockTable(run_id=run.id, **block) for block in blocks)
+            return change(session, run, events, changes)
+
+    def of(self, run_id: str, pose: int | None = None) -> RawSamples:
         """The raw samples of a run in the order taken, or those of one pose's dwell; none once pruned.
 
         Raises:
@@ -177,7 +181,7 @@ class Poses(Part):
             numbers = [number for number, _ in _block_numbers(session, run_id, pose)]
             return joined_arrays(_packed_blocks(session, numbers))
 
-    def sample_blocks(self, run_id: str, pose: int | None = None) -> Iterator[RawSamples]:
+    def blocks_of(self, run_id: str, pose: int | None = None) -> Iterator[RawSamples]:
         """The same, some at a time as they are asked for: a day of them does not fit into memory.
 
         Raises:
@@ -217,7 +221,7 @@ class Poses(Part):
                 raise NotFound("raw samples were deleted while they were read")
             yield from blocks
 
-    def prune_samples(self, before: datetime) -> int:
+    def prune(self, before: datetime) -> int:
         """Deletes the raw samples of runs made before then and no longer going on, and nothing else.
 
         Args:

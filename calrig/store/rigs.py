@@ -19,9 +19,10 @@ from sqlalchemy import ColumnElement, Row
 from sqlmodel import Session, and_, col, func, or_, select
 
 from calrig.model.run import UNFINISHED
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import NotFound
 from calrig.store.records import Document, StoredStagePosition
+from calrig.store.runs import VALID_CALIBRATION
 from calrig.store.tables import (
     CalibrationTable,
     CheckUnitTable,
@@ -31,7 +32,6 @@ from calrig.store.tables import (
     UnitTable,
 )
 from calrig.store.trail import Act, append
-from calrig.store.units import COUNTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,10 @@ class CheckUnit:
     named_at: datetime
 
 
-class CheckUnits(Part):
+class CheckStandards(Repository):
     """One check unit a rig."""
 
-    def check_units(self) -> list[CheckUnit]:
+    def all(self) -> list[CheckUnit]:
         """Every rig's that has one, by name of the rig."""
         with self._database.reading() as session:
             return [
@@ -55,15 +55,13 @@ class CheckUnits(Part):
                 for row in session.exec(select(CheckUnitTable).order_by(col(CheckUnitTable.rig)))
             ]
 
-    def check_unit(self, rig: str) -> CheckUnit | None:
+    def of(self, rig: str) -> CheckUnit | None:
         """A rig's, or None."""
         with self._database.reading() as session:
             row = session.get(CheckUnitTable, rig)
             return None if row is None else _check_unit_of(row)
 
-    def name_check_unit(
-        self, rig: str, unit: str, interval_days: float, *, who: str | None = None
-    ) -> CheckUnit:
+    def name(self, rig: str, unit: str, interval_days: float, *, who: str | None = None) -> CheckUnit:
         """Names a rig's check unit, or gives it another interval; another unit begins anew.
 
         Raises:
@@ -84,7 +82,7 @@ class CheckUnits(Part):
             _tell(session, rig, unit, who, {"unit": unit, "interval_days": interval_days})
             return _check_unit_of(row)
 
-    def remove_check_unit(self, rig: str, *, who: str | None = None) -> None:
+    def remove(self, rig: str, *, who: str | None = None) -> None:
         """Has a rig go without one.
 
         Raises:
@@ -106,16 +104,16 @@ def _check_unit_of(row: CheckUnitTable) -> CheckUnit:
     return CheckUnit(row.rig, row.unit, row.interval_days, row.named_at)
 
 
-class PositionStore(Part):
+class StagePositions(Repository):
     """One place a rig."""
 
-    def left_at(self, rig: str) -> StoredStagePosition | None:
+    def of(self, rig: str) -> StoredStagePosition | None:
         """Where a rig's stage was left; None where nobody has ever said."""
         with self._database.reading() as session:
             row = session.get(StagePlaceTable, rig)
             return None if row is None else StoredStagePosition(row.stage_deg, row.at)
 
-    def leave_at(self, rig: str, stage_deg: float | None) -> None:
+    def save(self, rig: str, stage_deg: float | None) -> None:
         """Keeps where a rig's stage stands, in the stage's own degrees; None while nobody knows."""
         with self._database.writing() as session:
             session.merge(StagePlaceTable(rig=rig, stage_deg=stage_deg, at=datetime.now(UTC)))
@@ -174,10 +172,10 @@ class Standing:
     check: NextCheck | None = None
 
 
-class RigStandings(Part):
+class RigSummaries(Repository):
     """Of many rigs at once."""
 
-    def standings(self, rigs: Sequence[str]) -> dict[str, Standing]:
+    def summaries(self, rigs: Sequence[str]) -> dict[str, Standing]:
         """By name of the rig, in one state of the store."""
         found = {name: Standing() for name in rigs}
         if not found:
@@ -223,7 +221,7 @@ def _checks(session: Session, rigs: Sequence[str]) -> list[tuple[CheckUnit, date
         select(func.max(RunTable.finished_at))
         .join(CalibrationTable, and_(col(CalibrationTable.run_id) == RunTable.id))
         .where(RunTable.unit == CheckUnitTable.unit, RunTable.rig == CheckUnitTable.rig)
-        .where(*COUNTS, col(RunTable.follows).is_(None))
+        .where(*VALID_CALIBRATION, col(RunTable.follows).is_(None))
         .scalar_subquery()
     )
     wanted = select(CheckUnitTable, last_at).where(col(CheckUnitTable.rig).in_(rigs))
@@ -259,16 +257,16 @@ class MapInForce:
     put_by: str | None
 
 
-class StageMaps(Part):
+class StageMaps(Repository):
     """At most one map is in force for a rig."""
 
-    def stage_map(self, rig: str) -> MapInForce | None:
+    def of(self, rig: str) -> MapInForce | None:
         """The one in force, or None."""
         with self._database.reading() as session:
             row = _in_force(session, rig)
             return None if row is None else _map_of(row)
 
-    def stage_maps(self) -> list[MapInForce]:
+    def all(self) -> list[MapInForce]:
         """Every rig's that has one, by name of the rig."""
         wanted = (
             select(StageMapTable)
@@ -278,7 +276,7 @@ class StageMaps(Part):
         with self._database.reading() as session:
             return [_map_of(row) for row in session.exec(wanted)]
 
-    def put_stage_map(
+    def put_in_force(
         self, rig: str, solution_id: str, document: Document, *, who: str | None = None
     ) -> MapInForce:
         """Puts the map of a stored solution in force, in the place of the one before.
@@ -310,7 +308,7 @@ class StageMaps(Part):
             append(session, Act("map_put_in_force", who=who, rig=rig, detail=detail), now)
             return _map_of(row)
 
-    def withdraw_stage_map(self, rig: str, reason: str, *, who: str | None = None) -> None:
+    def withdraw(self, rig: str, reason: str, *, who: str | None = None) -> None:
         """Has a rig go without one.
 
         Raises:

@@ -11,16 +11,18 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal, Unpack, get_args
 
+import sqlalchemy
 from sqlalchemy import ColumnElement
 from sqlmodel import Session, and_, col, func, or_, select, tuple_
 
 from calrig.calibration.poses import Pose
+from calrig.model.plan import CALIBRATING
 from calrig.model.result import Result
 from calrig.model.run import TERMINAL, UNFINISHED, Progress, Status
 from calrig.run_ids import is_uuid, new_run_id
 from calrig.store import event_log, issued, staging, trail
 from calrig.store.convert import figures_of, find_run, run_of, run_row
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import Refused
 from calrig.store.event_log import Announced
 from calrig.store.records import Document, Run, RunChanges
@@ -108,16 +110,24 @@ def beginning(prefix: str) -> ColumnElement[bool]:
     return and_(uid.startswith(prefix, autoescape=True), uid.contains("-"))
 
 
+VALID_CALIBRATION = (
+    col(RunTable.status) == "completed",
+    col(RunTable.kind).in_(CALIBRATING),
+    col(RunTable.voided_reason).is_(None),
+)
+"""Of a run that makes a calibration; a follow-up does not, whose `follows` is set."""
+IDS_AT_ONCE = 500
+"""Ids in one query."""
 POSES_AT_ONCE = 1000
 """Read together: an import has a hundred thousand."""
 _MADE = col(RunTable.created_at), col(RunTable.id)
 NEWEST_FIRST = tuple(column.desc() for column in _MADE)
 
 
-class Runs(Part):
+class Runs(Repository):
     """The runs there are."""
 
-    def create_run(
+    def create(
         self,
         *,
         unit: str,
@@ -177,13 +187,13 @@ class Runs(Part):
                 issued.issue(session, row, draft)
             return run_of(row)
 
-    def run(self, run_id: str) -> Run | None:
+    def get(self, run_id: str) -> Run | None:
         """The run, or None."""
         with self._database.reading() as session:
             row = find_run(session, run_id)
             return None if row is None else run_of(row)
 
-    def runs(
+    def page(
         self,
         *,
         unit: str | None = None,
@@ -192,10 +202,10 @@ class Runs(Part):
         limit: int = 50,
         cursor: str | None = None,
     ) -> tuple[list[Run], str | None]:
-        """As `sought_runs`, by what most programs ask for."""
-        return self.sought_runs(Sought(unit, rig, status), limit=limit, cursor=cursor)
+        """As `search`, by what most programs ask for."""
+        return self.search(Sought(unit, rig, status), limit=limit, cursor=cursor)
 
-    def sought_runs(
+    def search(
         self, sought: Sought, *, limit: int = 50, cursor: str | None = None
     ) -> tuple[list[Run], str | None]:
         """A page of runs, the newest first, and the cursor of the next page (None after the last).
@@ -217,7 +227,7 @@ class Runs(Part):
             found = [run_of(row) for row in session.exec(rows)]
         return found[:limit], found[limit - 1].id if len(found) > limit else None
 
-    def update_run(
+    def update(
         self,
         run_id: str,
         *,
@@ -240,7 +250,7 @@ class Runs(Part):
 
     def set_result(self, run_id: str, result: Result | None) -> Run:
         """Replaces a run's result, and with it what comparisons show."""
-        return self.update_run(run_id, result=result)
+        return self.update(run_id, result=result)
 
     def unfinished(self) -> list[Run]:
         """The runs that are queued, running or paused, the oldest first."""
@@ -249,18 +259,60 @@ class Runs(Part):
         with self._database.reading() as session:
             return [run_of(row) for row in session.exec(wanted)]
 
-    def uuids_beginning(self, prefix: str, limit: int) -> list[str]:
+    def ids_beginning(self, prefix: str, limit: int) -> list[str]:
         """Ids that begin so, numbers not counted, in their own order and no more of them than `limit`."""
         uid = col(RunTable.uid)
         begin = select(uid).where(beginning(prefix))
         with self._database.reading() as session:
             return list(session.exec(begin.order_by(uid).limit(limit)))
 
-    def count_runs(self) -> dict[str, int]:
+    def count_by_status(self) -> dict[str, int]:
         """How many runs there are of each status, those without any as well."""
         wanted = select(RunTable.status, func.count()).group_by(col(RunTable.status))
         with self._database.reading() as session:
             return {**dict.fromkeys(get_args(Status), 0), **dict(session.exec(wanted).all())}
+
+    def valid_ids(self, rig: str | None = None, units: Sequence[str] | None = None) -> list[str]:
+        """Ids of the completed, not voided calibrations of some units on a rig, the oldest first."""
+        in_order = col(RunTable.created_at), col(RunTable.id)
+        query = sqlalchemy.select(col(RunTable.uid)).where(*VALID_CALIBRATION).order_by(*in_order)
+        if rig is not None:
+            query = query.where(col(RunTable.rig) == rig)
+        if units is not None:
+            query = query.where(col(RunTable.unit).in_(units))
+        with self._database.reading() as session:
+            return list(session.connection().execute(query).scalars())
+
+    def latest_calibration(self, serial: str, *, follow_ups: bool = False) -> Run | None:
+        """The latest completed, not voided calibration (or import) whose scale is known, or None.
+
+        `follow_ups` counts those as well, as stores did before there were revisions.
+        """
+        wanted = (
+            select(RunTable)
+            .join(CalibrationTable)
+            .where(RunTable.unit == serial, *VALID_CALIBRATION, col(CalibrationTable.scale).is_not(None))
+            .order_by(col(RunTable.finished_at).desc(), col(RunTable.id).desc())
+            .limit(1)
+        )
+        if not follow_ups:
+            wanted = wanted.where(col(RunTable.follows).is_(None))
+        with self._database.reading() as session:
+            row = session.exec(wanted).first()
+            return None if row is None else run_of(row)
+
+    def reference_figures(self, run_ids: Sequence[str]) -> dict[str, tuple[float, float | None]]:
+        """What the stage is worth in the bias (deg) and scale of runs that know it: type B, by run."""
+        found: dict[str, tuple[float, float | None]] = {}
+        with self._database.reading() as session:
+            for begin in range(0, len(run_ids), IDS_AT_ONCE):
+                some = run_ids[begin : begin + IDS_AT_ONCE]
+                wanted = select(RunTable.uid, RunTable.result).where(col(RunTable.uid).in_(some))
+                for run_id, result in session.exec(wanted):
+                    reference = (result or {}).get("reference")
+                    if reference is not None:
+                        found[run_id] = (reference["bias_std_deg"], reference["scale_std"])
+        return found
 
 
 def older_than(session: Session, cursor: str | None) -> list[ColumnElement[bool]]:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import sqlalchemy
-from sqlmodel import col
 
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import NotFound
 from calrig.store.records import Document
 from calrig.store.solved import Basis, Solved
-from calrig.store.tables import RunTable, SolutionTable
-from calrig.store.units import COUNTS
+from calrig.store.tables import SolutionTable
 
 _COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c
 _NEWEST_FIRST = _COLUMN.created_at.desc(), _COLUMN.id.desc()
@@ -57,10 +54,10 @@ _LISTED = (
 )
 
 
-class Solutions(Part):
+class Solutions(Repository):
     """Every joint solution that was kept; none ever changes."""
 
-    def keep_solution(self, found: Solved, *, by: str | None = None) -> StoredSolution:
+    def save(self, found: Solved, *, by: str | None = None) -> StoredSolution:
         """Keeps one under a new id."""
         kept = StoredSolution(str(uuid.uuid4()), datetime.now(UTC), by, found)
         row = SolutionTable(
@@ -78,18 +75,7 @@ class Solutions(Part):
             session.add(row)
         return kept
 
-    def counting_runs(self, rig: str | None = None, units: Sequence[str] | None = None) -> list[str]:
-        """Ids of the completed, not voided calibrations of some units on a rig, the oldest first."""
-        in_order = col(RunTable.created_at), col(RunTable.id)
-        query = sqlalchemy.select(col(RunTable.uid)).where(*COUNTS).order_by(*in_order)
-        if rig is not None:
-            query = query.where(col(RunTable.rig) == rig)
-        if units is not None:
-            query = query.where(col(RunTable.unit).in_(units))
-        with self._database.reading() as session:
-            return list(session.connection().execute(query).scalars())
-
-    def solution(self, solution_id: str) -> StoredSolution:
+    def get(self, solution_id: str) -> StoredSolution:
         """One by its id.
 
         Raises:
@@ -104,7 +90,7 @@ class Solutions(Part):
             )
             return StoredSolution(row.id, row.created_at, row.solved_by, found)
 
-    def solutions(self, rig: str | None = None, limit: int | None = None) -> list[ListedSolution]:
+    def newest(self, rig: str | None = None, limit: int | None = None) -> list[ListedSolution]:
         """Those of a rig, or all, the newest first."""
         query = sqlalchemy.select(*_LISTED).order_by(*_NEWEST_FIRST).limit(limit)
         if rig is not None:

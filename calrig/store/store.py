@@ -8,62 +8,68 @@ from typing import Self
 
 from calrig.store.amendments import Amendments
 from calrig.store.batches import Batches
-from calrig.store.benches import BenchBacklog, BenchCommands, Benches
-from calrig.store.database import BUSY_TIMEOUT_S
+from calrig.store.benches import Benches, Commands, Orders
+from calrig.store.database import BUSY_TIMEOUT_S, Database
+from calrig.store.effects import AcceptedEffects
 from calrig.store.engines import open_database
 from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog
-from calrig.store.fleet import Fleet, FleetFindings, LogStudies
-from calrig.store.issued import Issued
+from calrig.store.fleet import Findings, Fleet, Studies
+from calrig.store.issued import Revisions
 from calrig.store.limits import Limits
 from calrig.store.parcels import Spool
-from calrig.store.poses import Poses
+from calrig.store.poses import Poses, Samples
 from calrig.store.records import Size
-from calrig.store.rigs import CheckUnits, PositionStore, RigStandings, StageMaps
+from calrig.store.rigs import CheckStandards, RigSummaries, StageMaps, StagePositions
 from calrig.store.runs import Runs
 from calrig.store.solutions import Solutions
 from calrig.store.trail import Trail
 from calrig.store.units import Items, Units
-from calrig.store.unpacking import Unpacking
+from calrig.store.unpacking import Parcels
 from calrig.store.users import Users
 from calrig.store.verdicts import Verdicts
 from calrig.store.webhook import Deliveries
 
 
-class Store(
-    Runs,
-    Poses,
-    Amendments,
-    EventLog,
-    Units,
-    Issued,
-    PositionStore,
-    Limits,
-    CheckUnits,
-    Items,
-    Trail,
-    Users,
-    Benches,
-    BenchCommands,
-    BenchBacklog,
-    RigStandings,
-    Unpacking,
-    Enrolment,
-    Spool,
-    Fleet,
-    FleetFindings,
-    Solutions,
-    Batches,
-    Deliveries,
-    StageMaps,
-    LogStudies,
-    Verdicts,
-):
-    """An open store, shared by threads. Each method is one transaction, on the disk when it returns.
+class Store:
+    """An open store, shared by threads: one repository for each subject.
 
-    A run that does not exist raises `NotFound` where it is not said otherwise; what the database cannot do
-    raises `StoreError`; a document with a NaN in it raises ValueError (what is not known is None).
+    Each method of a repository is one transaction, on the disk when it returns. A run that does not exist
+    raises `NotFound` unless the method says otherwise; a failure of the database raises `StoreError`; a
+    document with a NaN raises ValueError (an unknown value is None).
     """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.runs = Runs(database)
+        self.poses = Poses(database)
+        self.samples = Samples(database)
+        self.events = EventLog(database)
+        self.verdicts = Verdicts(database)
+        self.amendments = Amendments(database)
+        self.effects = AcceptedEffects(database)
+        self.units = Units(database)
+        self.items = Items(database)
+        self.revisions = Revisions(database)
+        self.limits = Limits(database)
+        self.solutions = Solutions(database)
+        self.rigs = RigSummaries(database)
+        self.positions = StagePositions(database)
+        self.check_standards = CheckStandards(database)
+        self.stage_maps = StageMaps(database)
+        self.batches = Batches(database)
+        self.trail = Trail(database)
+        self.users = Users(database)
+        self.deliveries = Deliveries(database)
+        self.studies = Studies(database)
+        self.fleet = Fleet(database)
+        self.findings = Findings(database)
+        self.benches = Benches(database)
+        self.enrolment = Enrolment(database)
+        self.orders = Orders(database)
+        self.commands = Commands(database)
+        self.parcels = Parcels(database)
+        self.spool = Spool(database)
 
     @classmethod
     def open(

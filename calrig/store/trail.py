@@ -13,9 +13,9 @@ from sqlmodel import Session, col, or_, select
 
 from calrig.run_ids import is_number
 from calrig.store.checksums import to_json
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.records import Document
-from calrig.store.tables import TrailTable
+from calrig.store.tables import RunTable, TrailTable
 
 What = Literal[
     "started", "imported", "excluded", "included", "voided", "unvoided", "noted", "moved",
@@ -76,10 +76,15 @@ def append(session: Session, act: Act, now: datetime | None = None) -> TrailTabl
     return row
 
 
-class Trail(Part):
+def act_on(what: What, run: RunTable, who: str | None, reason: str | None = None, **detail: Any) -> Act:
+    """Return an act on a run, with its unit and rig."""
+    return Act(what, who=who, unit=run.unit, rig=run.rig, run_id=run.uid, reason=reason, detail=detail)
+
+
+class Trail(Repository):
     """What was done."""
 
-    def trail(
+    def entries(
         self,
         *,
         unit: str | None = None,

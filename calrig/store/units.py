@@ -11,14 +11,14 @@ from datetime import UTC, date, datetime
 from typing import Any
 
 import sqlalchemy
-from sqlmodel import Session, col, delete, func, or_, select
+from sqlmodel import Session, col, delete, func, select
 
-from calrig.model.plan import CALIBRATING
 from calrig.store.checksums import check_numbers
-from calrig.store.convert import FIGURES, result_part, run_of
-from calrig.store.database import Part
+from calrig.store.convert import FIGURES, result_part
+from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused
-from calrig.store.records import AcceptedEffect, ComparisonRow, Run, Unit
+from calrig.store.records import ComparisonRow, Unit
+from calrig.store.runs import VALID_CALIBRATION
 from calrig.store.tables import (
     AcceptedEffectTable,
     CalibrationTable,
@@ -30,17 +30,6 @@ from calrig.store.tables import (
     UtcText,
 )
 from calrig.store.trail import Act, append
-
-COUNTS = (
-    col(RunTable.status) == "completed",
-    col(RunTable.kind).in_(CALIBRATING),
-    col(RunTable.voided_reason).is_(None),
-)
-"""Of a run that makes a calibration; a follow-up does not, whose `follows` is set."""
-
-_AT_ONCE = 500
-"""Runs asked for by their ids in one question."""
-_STANDS = col(AcceptedEffectTable.withdrawn_at).is_(None)
 
 _COMPARED: tuple[Any, ...] = (
     RunTable.unit,
@@ -61,15 +50,15 @@ _KEPT_OF_UNITS: dict[Any, str] = {
 """What keeps a unit from being removed."""
 
 
-class Units(Part):
+class Units(Repository):
     """What is known about units over their runs."""
 
-    def units(self, serials: Sequence[str] | None = None) -> list[Unit]:
+    def all(self, serials: Sequence[str] | None = None) -> list[Unit]:
         """Units by serial number, every one or those of some serials."""
         with self._database.reading() as session:
             return _units(session, serials)
 
-    def unit(self, serial: str) -> Unit | None:
+    def get(self, serial: str) -> Unit | None:
         """The unit, or None."""
         with self._database.reading() as session:
             return next(iter(_units(session, [serial])), None)
@@ -88,7 +77,7 @@ class Units(Part):
         wanted = (
             sqlalchemy.select(*_COMPARED)
             .join(CalibrationTable, col(CalibrationTable.run_id) == RunTable.id)
-            .where(*COUNTS, col(RunTable.follows).is_(None))
+            .where(*VALID_CALIBRATION, col(RunTable.follows).is_(None))
         )
         in_order = col(RunTable.unit), col(RunTable.finished_at), col(RunTable.id)
         with self._database.reading() as session:
@@ -106,38 +95,7 @@ class Units(Part):
             rows += [row for row in reversed(found(newest)) if row.run_id not in known]
         return sorted(rows, key=lambda row: (row.unit, row.finished_at))
 
-    def reference_figures(self, run_ids: Sequence[str]) -> dict[str, tuple[float, float | None]]:
-        """What the stage is worth in the bias (deg) and scale of runs that know it: type B, by run."""
-        found: dict[str, tuple[float, float | None]] = {}
-        with self._database.reading() as session:
-            for begin in range(0, len(run_ids), _AT_ONCE):
-                some = run_ids[begin : begin + _AT_ONCE]
-                wanted = select(RunTable.uid, RunTable.result).where(col(RunTable.uid).in_(some))
-                for run_id, result in session.exec(wanted):
-                    reference = (result or {}).get("reference")
-                    if reference is not None:
-                        found[run_id] = (reference["bias_std_deg"], reference["scale_std"])
-        return found
-
-    def latest_calibration_run(self, serial: str, *, follow_ups: bool = False) -> Run | None:
-        """The latest completed, not voided calibration (or import) whose scale is known, or None.
-
-        `follow_ups` counts those as well, as stores did before there were revisions.
-        """
-        wanted = (
-            select(RunTable)
-            .join(CalibrationTable)
-            .where(RunTable.unit == serial, *COUNTS, col(CalibrationTable.scale).is_not(None))
-            .order_by(col(RunTable.finished_at).desc(), col(RunTable.id).desc())
-            .limit(1)
-        )
-        if not follow_ups:
-            wanted = wanted.where(col(RunTable.follows).is_(None))
-        with self._database.reading() as session:
-            row = session.exec(wanted).first()
-            return None if row is None else run_of(row)
-
-    def remove_unit(self, serial: str, *, who: str | None = None) -> None:
+    def remove(self, serial: str, *, who: str | None = None) -> None:
         """Removes a unit that nothing is known of.
 
         Raises:
@@ -155,56 +113,6 @@ class Units(Part):
             session.exec(delete(ItemTable).where(col(ItemTable.unit) == serial))
             session.delete(row)
             append(session, Act("unit_removed", who=who, unit=serial))
-
-    def effects_in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
-        """The effects accepted for a unit and for a rig: of each name the latest that was not taken back."""
-        wanted = (
-            select(AcceptedEffectTable, RunTable.uid)
-            .join(RunTable)
-            .where(or_(AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.rig) == (rig or "")))
-            .where(_STANDS)
-            .order_by(col(AcceptedEffectTable.id))
-        )
-        with self._database.reading() as session:
-            latest = {(row.unit, row.name): _accepted(row, run_id) for row, run_id in session.exec(wanted)}
-        return list(latest.values())
-
-    def accepted_effects(self, ids: Sequence[int]) -> list[AcceptedEffect]:
-        """Effects that were accepted, by their ids, those that were taken back since among them."""
-        found = []
-        with self._database.reading() as session:
-            for first in range(0, len(ids), _AT_ONCE):
-                some = col(AcceptedEffectTable.id).in_(ids[first : first + _AT_ONCE])
-                wanted = select(AcceptedEffectTable, RunTable.uid).join(RunTable).where(some)
-                in_order = wanted.order_by(col(AcceptedEffectTable.id))
-                found += [_accepted(row, run_id) for row, run_id in session.exec(in_order)]
-        return found
-
-    def effect_names(self) -> dict[str, list[str]]:
-        """Names of the effects in force for each unit that has any."""
-        wanted = (
-            select(AcceptedEffectTable.unit, AcceptedEffectTable.name)
-            .where(col(AcceptedEffectTable.unit).is_not(None), _STANDS)
-            .distinct()
-            .order_by(col(AcceptedEffectTable.unit), col(AcceptedEffectTable.name))
-        )
-        found: dict[str, list[str]] = {}
-        with self._database.reading() as session:
-            for unit, name in session.exec(wanted):
-                found.setdefault(str(unit), []).append(name)
-        return found
-
-
-def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
-    return AcceptedEffect(
-        run_id=run_id,
-        unit=row.unit,
-        rig=row.rig,
-        name=row.name,
-        origin=row.origin,
-        parameters=row.parameters,
-        id=row.id,
-    )
 
 
 def _remove_revisions(session: Session, serial: str) -> None:
@@ -280,17 +188,17 @@ class CalibrationItem:
         return cls(**{**known, "supplied": tuple(known["supplied"])})
 
 
-class Items(Part):
+class Items(Repository):
     """What was said of units as they came."""
 
-    def item(self, unit: str, day: date | None = None) -> CalibrationItem | None:
+    def of(self, unit: str, day: date | None = None) -> CalibrationItem | None:
         """What was said of a unit last; with a day, of those received by then. None where nobody did."""
         wanted = select(ItemTable).where(ItemTable.unit == unit).order_by(col(ItemTable.id).desc())
         with self._database.reading() as session:
             said = (CalibrationItem.from_dict(row.document) for row in session.exec(wanted))
             return next((one for one in said if not _came_after(one, day)), None)
 
-    def say_item(self, unit: str, item: CalibrationItem, *, who: str | None) -> None:
+    def add(self, unit: str, item: CalibrationItem, *, who: str | None) -> None:
         """Adds what somebody says of a unit, and puts it into the trail.
 
         Raises:

@@ -23,7 +23,7 @@ from calrig.run_ids import is_uuid
 from calrig.store import issued, trail
 from calrig.store.bench_tables import BenchTable, DeliveryTable, ParcelTable, RunOrderTable
 from calrig.store.convert import find_run, pose_of, pose_values, run_of, unpacked_block
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import Unreadable
 from calrig.store.parcels import DeliveredEvent, DeliveredPose, DeliveredSamples, ParcelDocument
 from calrig.store.poses import map_in_use, put_upon
@@ -58,15 +58,15 @@ class Kept:
     early: Mapping[int, str] = field(default_factory=dict)
 
 
-class Unpacking(Part):
+class Parcels(Repository):
     """The deliveries of benches, at the centre."""
 
-    def has_parcels(self, but: Kept = Kept()) -> bool:
+    def are_waiting(self, but: Kept = Kept()) -> bool:
         """Whether there are any to be tried."""
         with self._database.reading() as session:
             return session.exec(_next(but).limit(1)).first() is not None
 
-    def unpack_parcels(self, conclude: Conclude, but: Kept = Kept()) -> Kept:
+    def unpack(self, conclude: Conclude, but: Kept = Kept()) -> Kept:
         """Unpacks the oldest parcels, `AT_ONCE` at most; returns which are not to be tried from now on."""
         stuck, early = dict(but.stuck), dict(but.early)
         with self._database.writing() as session:

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 from sqlmodel import Session, col, select
 
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.tables import UserTable
 from calrig.store.trail import Act, append
@@ -35,15 +35,15 @@ class User:
     disabled_at: datetime | None
 
 
-class Users(Part):
+class Users(Repository):
     """Who is known. Each change goes into the trail in the same transaction."""
 
-    def users(self) -> list[User]:
+    def all(self) -> list[User]:
         """Everybody by name, those who were disabled as well."""
         with self._database.reading() as session:
             return [_user(row) for row in session.exec(select(UserTable).order_by(col(UserTable.name)))]
 
-    def add_user(
+    def add(
         self, name: str, role: Role, *, with_token: bool = True, who: str | None = None
     ) -> tuple[User, str | None]:
         """Makes somebody known, or once more who was disabled; the token is told here and never again.
@@ -96,7 +96,7 @@ class Users(Part):
             append(session, Act("user_changed", who=who, detail=detail))
             return _user(row)
 
-    def disable_user(self, name: str, *, who: str | None = None) -> User:
+    def disable(self, name: str, *, who: str | None = None) -> User:
         """Lets a user in no more, by token or by proxy; what they did stays theirs.
 
         Raises:

@@ -24,7 +24,7 @@ from calrig.model.result import Result
 from calrig.model.verdict import Left, Limit
 from calrig.program_text import sha256_of_program
 from calrig.store.convert import run_of
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.limits import limits_of
 from calrig.store.records import Run, how_judged
 from calrig.store.runs import NEWEST_FIRST, Sought, older_than
@@ -74,7 +74,7 @@ class JudgedRuns:
     judged_whole: list[str]
 
 
-class Verdicts(Part):
+class Verdicts(Repository):
     """Runs by what the limits of today say of them."""
 
     def judged_runs(

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from sqlmodel import col, func, select, update
 
 from calrig.model.run import TERMINAL
-from calrig.store.database import Part
+from calrig.store.database import Repository
 from calrig.store.tables import RunTable, WebhookDeliveryTable
 
 LONGEST_RUN = timedelta(days=30)
@@ -24,10 +24,10 @@ class Delivery:
     tries: int
 
 
-class Deliveries(Part):
+class Deliveries(Repository):
     """One a run. Other programs over the same database deliver from the same rows: each is taken by one."""
 
-    def note_end(self, run_id: str, now: datetime) -> bool:
+    def record_end(self, run_id: str, now: datetime) -> bool:
         """Takes the end of a run in, once; False where it has not ended, or was taken in before."""
         with self._database.writing() as session:
             if session.get(WebhookDeliveryTable, run_id) is not None:
@@ -39,7 +39,7 @@ class Deliveries(Part):
             session.add(WebhookDeliveryTable(run_uid=run_id, ended_at=found[1] or now, due_at=now, tries=0))
             return True
 
-    def ends_not_noted(self) -> list[str]:
+    def unrecorded_ends(self) -> list[str]:
         """Runs that ended since the last end that was taken in: the program died between the two.
 
         None where no end was ever taken in: before, nobody was to be told.
@@ -61,14 +61,14 @@ class Deliveries(Part):
             )
             return list(session.exec(wanted))
 
-    def next_delivery(self) -> Delivery | None:
+    def next(self) -> Delivery | None:
         """The one that is due first, which may be later."""
         due = select(WebhookDeliveryTable).where(col(WebhookDeliveryTable.due_at).is_not(None))
         with self._database.reading() as session:
             row = session.exec(due.order_by(col(WebhookDeliveryTable.due_at)).limit(1)).first()
             return None if row is None or row.due_at is None else Delivery(row.run_uid, row.due_at, row.tries)
 
-    def take_delivery(self, delivery: Delivery, until: datetime) -> bool:
+    def claim(self, delivery: Delivery, until: datetime) -> bool:
         """Keeps it from other programs until then; False where one of them was first."""
         taken = (
             update(WebhookDeliveryTable)
@@ -82,7 +82,7 @@ class Deliveries(Part):
         with self._database.writing() as session:
             return session.execute(taken).first() is not None
 
-    def settle_delivery(self, delivery: Delivery, error: str | None, again_at: datetime | None) -> None:
+    def settle(self, delivery: Delivery, error: str | None, again_at: datetime | None) -> None:
         """What came of a try: delivered, where there is no error; else tried again then, or never."""
         with self._database.writing() as session:
             row = session.get_one(WebhookDeliveryTable, delivery.run_id)
@@ -91,7 +91,7 @@ class Deliveries(Part):
             row.delivered_at = None if error else datetime.now(UTC)
             session.add(row)
 
-    def deliveries_waiting(self) -> int:
+    def count_waiting(self) -> int:
         """How many there are to be made."""
         waiting = select(func.count()).where(col(WebhookDeliveryTable.due_at).is_not(None))
         with self._database.reading() as session:

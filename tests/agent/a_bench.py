@@ -211,8 +211,8 @@ class Delivery:
 def hand_written(url: str) -> Iterator[HandWritten]:
     """The database with the bench in it, whose role is no superuser."""
     with Store.open(url, writer="tests") as store:
-        _, code = store.add_bench(BENCH)
-        bench_url = store.enroll_bench(code)[1]
+        _, code = store.enrolment.add(BENCH)
+        bench_url = store.enrolment.enroll(code)[1]
     with psycopg.connect(libpq(url), autocommit=True) as connection:
         yield HandWritten(url, connection, bench_url)
         (role,) = connection.execute("SELECT role FROM bench").fetchone() or ("",)

@@ -11,7 +11,7 @@ from support import QUICK, wait_for
 from calrig.agent.link import LinkDown
 from calrig.plan import Plan
 from calrig.store import Store
-from calrig.store.parcels import EVENTS_A_PARCEL
+from calrig.store.parcels import EVENTS_A_PARCEL, Spool
 
 
 def once_in_order(events: list[dict]) -> bool:
@@ -35,7 +35,7 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_goes_on_delivering_where_it_wa
         assert agent.service.wait(run_id).status == "completed"
         before = centre.delivered(run_id)
         assert before.status == "running"
-        wait_for(lambda: agent.service.store.outbox().n_parcels > 0, "outbox")
+        wait_for(lambda: agent.service.store.spool.outbox().n_parcels > 0, "outbox")
         cable.mend()
         told, store = centre.ended(run_id), agent.service.store
     assert once_in_order(before.events)
@@ -47,7 +47,7 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_goes_on_delivering_where_it_wa
     states = {event["seq"]: event["data"]["status"] for event in told.events if event["type"] == "state"}
     assert [*states.values()] == ["queued", "running", "completed"]
     with Store.open(f"sqlite:///{spool}", writer=None) as store:
-        assert told.n_samples == len(store.samples(run_id))
+        assert told.n_samples == len(store.samples.of(run_id))
 
 
 def test_a_server_that_throws_the_bench_out_meets_it_again(
@@ -63,7 +63,7 @@ def test_a_server_that_throws_the_bench_out_meets_it_again(
             )
             wait_for(lambda n=seen: len(centre.delivered(run_id).events) > n, "more of it")
         agent.service.abort(run_id)
-        told, n_poses = centre.ended(run_id), len(agent.service.store.poses(run_id))
+        told, n_poses = centre.ended(run_id), len(agent.service.store.poses.of(run_id))
     assert {event["seq"] for event in told.events} == set(range(1, told.events[-1]["seq"] + 1))
     assert sorted(set(told.poses)) == list(range(n_poses))
 
@@ -86,15 +86,15 @@ def test_a_run_begun_without_the_centre_is_delivered_by_a_later_program(
 def test_a_parcel_whose_receipt_was_lost_is_delivered_again_and_says_the_same(
     centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    delivered, lost = Store.delivered, []
+    mark_delivered, lost = Spool.mark_delivered, []
 
-    def forgets_some(store: Store, parcels: list) -> None:
+    def forgets_some(spool: Spool, parcels: list) -> None:
         if len(lost) < 5:
             lost.append(parcels)
             raise LinkDown("the receipt is lost")
-        delivered(store, parcels)
+        mark_delivered(spool, parcels)
 
-    monkeypatch.setattr(Store, "delivered", forgets_some)
+    monkeypatch.setattr(Spool, "mark_delivered", forgets_some)
     run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig):
         told = centre.ended(run_id)
@@ -109,15 +109,15 @@ def test_a_parcel_whose_receipt_was_lost_is_delivered_again_and_says_the_same(
 def test_a_long_log_goes_in_pieces_that_say_how_the_run_stood(spool: Path) -> None:
     n = 2 * EVENTS_A_PARCEL + 100
     with Store.open(f"sqlite:///{spool}", writer="tests") as store:
-        run = store.create_run(unit="AS-1", rig="r", plan=None, status="queued", provenance={})
-        store.update_run(run.id, status="running")
-        store.append_events(run.id, [("reading", {"time_s": float(k)}) for k in range(n)])
-        store.update_run(run.id, status="failed", error="a wire came off")
+        run = store.runs.create(unit="AS-1", rig="r", plan=None, status="queued", provenance={})
+        store.runs.update(run.id, status="running")
+        store.events.append(run.id, [("reading", {"time_s": float(k)}) for k in range(n)])
+        store.runs.update(run.id, status="failed", error="a wire came off")
         told = []
-        while parcels := store.next_parcels(run.id):
-            store.delivered(parcels)
+        while parcels := store.spool.next_parcels(run.id):
+            store.spool.mark_delivered(parcels)
             told += [parcel.document for parcel in parcels]
-        assert store.undelivered() == []
+        assert store.spool.undelivered() == []
     assert [len(one["events"]) for one in told] == [EVENTS_A_PARCEL, EVENTS_A_PARCEL, 102, 1]
     assert [(one["run"]["status"], one["run"]["error"]) for one in told] == [
         *[("running", None)] * 3,
@@ -141,7 +141,7 @@ def test_a_bench_that_was_revoked_goes_on_by_itself(centre: HandWritten, rig: Ri
     with agent_at(centre.bench_url, spool, rig) as agent:
         wait_for(agent.lease.is_held, "lease")
         with Store.open(centre.url, writer="tests") as store:
-            store.revoke_bench("hall-2")
+            store.enrolment.revoke("hall-2")
         run = agent.service.start(unit="AS-1", plan=Plan.model_validate(QUICK))
         assert agent.service.wait(run.id).status == "completed"
         assert centre.delivered(run.id).documents == []

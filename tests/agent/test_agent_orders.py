@@ -23,14 +23,14 @@ def test_an_ordered_run_is_carried_out_once_and_delivered_in_order(
         told = centre.ended(run_id)
         run, store = agent.service.run(run_id), agent.service.store
         assert (run.status, run.operator, run.unit) == ("completed", "mara", "AS-1")
-        assert [event["seq"] for event in told.events] == list(range(1, len(store.events_after(run_id)) + 1))
+        assert [event["seq"] for event in told.events] == list(range(1, len(store.events.after(run_id)) + 1))
         assert told.states == ["queued", "running", "completed"]
         assert told.poses == list(range(6))
-        assert told.n_samples == len(store.samples(run_id))
+        assert told.n_samples == len(store.samples.of(run_id))
         assert told.documents[-1]["run"]["result"]["bias_deg"] == pytest.approx(run.result.bias_deg)
-        assert store.revisions("AS-1") == []  # which only the centre makes
-        wait_for(lambda: store.undelivered() == [], "note that all is delivered")
-        assert (store.outbox().n_parcels, centre.jobs_left()) == (0, 0)
+        assert store.revisions.of("AS-1") == []  # which only the centre makes
+        wait_for(lambda: store.spool.undelivered() == [], "note that all is delivered")
+        assert (store.spool.outbox().n_parcels, centre.jobs_left()) == (0, 0)
 
 
 def test_a_run_that_has_ended_at_the_centre_is_there_with_all_its_samples(
@@ -52,7 +52,7 @@ def test_a_job_that_comes_twice_carries_nothing_out_twice(centre: HandWritten, r
         centre.job(run_id)
         wait_for(lambda: centre.jobs_left() == 0, "end of the jobs")
         centre.order(unit="AS-2", rig="bench-1")
-        wait_for(lambda: len(agent.service.store.runs()[0]) == 2, "next run")
+        wait_for(lambda: len(agent.service.store.runs.page()[0]) == 2, "next run")
         assert centre.delivered(run_id).events == first.events
 
 
@@ -67,8 +67,8 @@ def test_an_order_that_counts_no_more_moves_nothing(
     with agent_at(centre.bench_url, spool, rig) as agent:
         wait_for(lambda: centre.jobs_left() == 0, "end of the job")
         centre.order(unit="AS-2")  # what comes after it does
-        wait_for(lambda: agent.service.store.runs()[0], "run")
-        assert [run.unit for run in agent.service.store.runs()[0]] == ["AS-2"]
+        wait_for(lambda: agent.service.store.runs.page()[0], "run")
+        assert [run.unit for run in agent.service.store.runs.page()[0]] == ["AS-2"]
     assert centre.taken_epoch(run_id) == columns.get("taken_epoch", 0)
 
 
@@ -88,7 +88,7 @@ def test_an_order_taken_back_before_it_is_taken_moves_nothing(
     with agent_at(centre.bench_url, spool, rig) as agent:
         wait_for(lambda: centre._one("SELECT epoch FROM run_order") > 1, "withdrawal")
         wait_for(lambda: agent.service.crew.is_free("bench-1"), "rig that is kept no longer")
-        assert agent.service.store.run(run_id) is None
+        assert agent.service.store.runs.get(run_id) is None
     assert centre.taken_epoch(run_id) == 0
     assert not rig.has_moved()
 
@@ -230,5 +230,5 @@ def test_the_spool_is_an_ordinary_store(centre: HandWritten, rig: Rig, spool: Pa
     with agent_at(centre.bench_url, spool, rig):
         centre.ended(run_id)
     with Store.open(f"sqlite:///{spool}", writer=None) as store:
-        assert store.run(run_id).status == "completed"
-        assert store.taken_epochs() == {run_id: 1}
+        assert store.runs.get(run_id).status == "completed"
+        assert store.spool.taken_epochs() == {run_id: 1}

@@ -64,7 +64,7 @@ def test_a_run_outlives_the_death_of_its_program_as_interrupted(
     assert told.states == ["queued", "running", "interrupted"]
     assert "ended before the run did" in told.events[-1]["data"]["error"]
     with Store.open(f"sqlite:///{spool}", writer=None) as store:
-        n_poses = len(store.poses(run_id))
+        n_poses = len(store.poses.of(run_id))
     assert sorted(set(told.poses)) == list(range(n_poses))
 
 

@@ -55,7 +55,7 @@ def test_a_run_of_the_centre_is_watched_ends_and_gives_a_revision(
                 elif line.startswith("event:"):
                     kinds.append(line[6:].strip())
         run, at_bench = run_of(page, run_id), agent.service.run(run_id)
-        samples = agent.service.store.samples(run_id)
+        samples = agent.service.store.samples.of(run_id)
     assert numbers == list(range(1, len(numbers) + 1))
     assert kinds.count("pose") == 6
     assert (run["status"], run["unit"], run["rig"]) == ("completed", "AS-1", "bench-1")
@@ -124,7 +124,7 @@ def test_a_follow_up_rests_on_runs_that_only_the_centre_has(
         assert found["verdict"] == "ambiguous"
         second = wait_for(lambda: _begun(page, first["id"]), "bench")
         done = ended(page, second["id"])
-        assert agent.service.store.run(first["id"]) is None
+        assert agent.service.store.runs.get(first["id"]) is None
     assert (done["status"], done["follows"]) == ("completed", first["id"])
     assert done["provenance"]["follow_up"]["decided_on"]
     assert done["diagnosis"]["runs"] == [first["id"], second["id"]]

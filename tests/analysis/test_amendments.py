@@ -32,7 +32,9 @@ def new_run(store: Store) -> Callable[..., Run]:
     def make(**given: Any) -> Run:
         usual = {"unit": "WRONG", "rig": "bench-1", "plan": Plan().model_dump(mode="json"), "provenance": {}}
         result = build_result(POSES).to_dict()
-        return store.create_run(**{**usual, "status": "completed", "poses": POSES, "result": result, **given})
+        return store.runs.create(
+            **{**usual, "status": "completed", "poses": POSES, "result": result, **given}
+        )
 
     return make
 
@@ -45,14 +47,14 @@ def figures(run: Run) -> dict[str, Any]:
 
 def told(store: Store, **asked: Any) -> list[tuple[Any, ...]]:
     """What the trail says of acts after the runs were made, but for the drafts that they led to."""
-    acts = [entry.act for entry in store.trail(**asked)]
+    acts = [entry.act for entry in store.trail.entries(**asked)]
     left_out = ("started", "drafted", "released")
     return [(a.what, a.who, a.run_id, a.reason) for a in acts if a.what not in left_out]
 
 
 def last_detail(store: Store) -> dict[str, Any]:
     """What the trail says beside of the last of them."""
-    acts = [entry.act for entry in store.trail()]
+    acts = [entry.act for entry in store.trail.entries()]
     return [act.detail for act in acts if act.what not in ("drafted", "released")][-1]
 
 
@@ -63,11 +65,11 @@ class TestUndone:
         self, new_run: Callable[..., Run], records: Records, store: Store
     ) -> None:
         run = new_run()
-        compared = store.comparison(["WRONG"])
+        compared = store.units.comparison(["WRONG"])
         records.void(run.id, "slipped", who="ada")
-        assert store.comparison(["WRONG"]) == []
+        assert store.units.comparison(["WRONG"]) == []
         assert records.unvoid(run.id, "it was the other run", who="ben") == run
-        assert store.comparison(["WRONG"]) == compared
+        assert store.units.comparison(["WRONG"]) == compared
         assert told(store) == [
             ("voided", "ada", run.id, "slipped"),
             ("unvoided", "ben", run.id, "it was the other run"),
@@ -80,7 +82,7 @@ class TestUndone:
         run = new_run()
         assert records.exclude_pose(run.id, 3, "bumped", who="ada").result != run.result
         assert figures(records.include_pose(run.id, 3, who="ada")) == figures(run)
-        assert [pose.excluded for pose in store.poses(run.id)] == [None] * len(POSES)
+        assert [pose.excluded for pose in store.poses.of(run.id)] == [None] * len(POSES)
         assert told(store) == [("excluded", "ada", run.id, "bumped"), ("included", "ada", run.id, None)]
         assert last_detail(store) == {"pose": 3, "excluded": "bumped"}
 
@@ -106,7 +108,7 @@ class TestNotes:
         assert noted is not None
         first, second = noted.split("\n")
         assert first == "new cable"
-        at = store.trail()[-1].at
+        at = store.trail.entries()[-1].at
         assert second == f"{at:%Y-%m-%d %H:%M} UTC, ada: it hangs low"
 
     def test_the_first_note_stands_as_it_was_given(
@@ -131,8 +133,8 @@ class TestMoved:
         run, stays = new_run(), new_run()
         moved = records.move(run.id, "RIGHT", "misread", who="ada")
         assert (moved.unit, figures(moved)) == ("RIGHT", figures(run))
-        assert [row.run_id for row in store.comparison(["RIGHT"])] == [run.id]
-        assert [row.run_id for row in store.comparison(["WRONG"])] == [stays.id]
+        assert [row.run_id for row in store.units.comparison(["RIGHT"])] == [run.id]
+        assert [row.run_id for row in store.units.comparison(["WRONG"])] == [stays.id]
         for unit in ("WRONG", "RIGHT"):
             assert told(store, unit=unit) == [("moved", "ada", run.id, "misread")]
         assert last_detail(store) == {"from": "WRONG", "to": "RIGHT"}
@@ -154,9 +156,9 @@ class TestMoved:
         third = new_run(follows=second.id)
         stays = new_run()
         records.move(second.id, "RIGHT", "misread")
-        runs, _ = store.runs(unit="RIGHT")
+        runs, _ = store.runs.page(unit="RIGHT")
         assert [run.id for run in runs] == [third.id, second.id, first.id]
-        assert [run.id for run in store.runs(unit="WRONG")[0]] == [stays.id]
+        assert [run.id for run in store.runs.page(unit="WRONG")[0]] == [stays.id]
 
     def test_an_accepted_effect_is_taken_back_first_and_then_leaves_nothing_behind(
         self, new_run: Callable[..., Run], records: Records, store: Store
@@ -166,23 +168,23 @@ class TestMoved:
         words = f"{OFFSET} was accepted from run {run.id} for unit 'WRONG': take it back"
         with pytest.raises(Refused, match=words):
             records.move(run.id, "RIGHT", "misread")
-        assert store.unit("RIGHT") is None
+        assert store.units.get("RIGHT") is None
         Acceptance(store).take_back(run.id, [OFFSET], "of another unit")
         records.move(run.id, "RIGHT", "misread")
-        (*_, in_force) = [one for one in store.revisions("WRONG") if one.status == "in_force"]
-        store.withdraw("WRONG", in_force.revision, "ada", "there is no such unit")
-        store.remove_unit("WRONG")
-        assert [unit.serial for unit in store.units()] == ["RIGHT"]
+        (*_, in_force) = [one for one in store.revisions.of("WRONG") if one.status == "in_force"]
+        store.revisions.withdraw("WRONG", in_force.revision, "ada", "there is no such unit")
+        store.units.remove("WRONG")
+        assert [unit.serial for unit in store.units.all()] == ["RIGHT"]
 
     def test_a_diagnosis_shared_with_runs_that_stay_is_in_the_way(
         self, new_run: Callable[..., Run], records: Records, store: Store
     ) -> None:
         first, second = new_run(), new_run()
-        store.update_run(second.id, diagnosis={"runs": [first.id, second.id], "effects": []})
+        store.runs.update(second.id, diagnosis={"runs": [first.id, second.id], "effects": []})
         for run in (first, second):
             with pytest.raises(Conflict, match=f"diagnose run {second.id} alone first"):
                 records.move(run.id, "RIGHT", "misread")
-        store.update_run(second.id, diagnosis={"runs": [second.id], "effects": []})
+        store.runs.update(second.id, diagnosis={"runs": [second.id], "effects": []})
         assert records.move(first.id, "RIGHT", "misread").unit == "RIGHT"
 
     def test_not_while_it_goes_on_nor_to_where_it_is_nor_a_verification(
@@ -207,13 +209,13 @@ class TestRemoved:
     ) -> None:
         run = new_run()
         with pytest.raises(Refused, match="'WRONG' has runs"):
-            store.remove_unit("WRONG")
+            store.units.remove("WRONG")
         records.move(run.id, "RIGHT", "misread")
-        store.remove_unit("WRONG", who="ada")
-        assert store.unit("WRONG") is None
+        store.units.remove("WRONG", who="ada")
+        assert store.units.get("WRONG") is None
         assert told(store, unit="WRONG")[-1] == ("unit_removed", "ada", None, None)
         with pytest.raises(NotFound):
-            store.remove_unit("WRONG")
+            store.units.remove("WRONG")
 
 
 OFFSET = "accelerometer_offset"
@@ -230,12 +232,12 @@ def diagnosed(store: Store, run: Run, z_mg: float) -> Run:
         "changed": None,
         "remedy": "subtract the offsets",
     }
-    return store.update_run(run.id, diagnosis={"runs": [run.id], "effects": [effect]})
+    return store.runs.update(run.id, diagnosis={"runs": [run.id], "effects": [effect]})
 
 
 def in_force(store: Store) -> dict[str, float | None]:
     return {
-        effect.name: effect.parameters.get("z_mg") for effect in store.effects_in_force("WRONG", "bench-1")
+        effect.name: effect.parameters.get("z_mg") for effect in store.effects.in_force("WRONG", "bench-1")
     }
 
 
@@ -248,7 +250,7 @@ class TestTakenBack:
         acceptance = Acceptance(store)
         first, second = diagnosed(store, new_run(), 3.0), diagnosed(store, new_run(), 6.0)
         acceptance.accept(first.id, [OFFSET])
-        before = store.set_result(second.id, refitted(store, store.run(second.id), POSES))
+        before = store.runs.set_result(second.id, refitted(store, store.runs.get(second.id), POSES))
         accepted = acceptance.accept(second.id, [OFFSET], who="ada")
         assert in_force(store) == {OFFSET: 6.0}
         assert accepted.diagnosis is not None
@@ -256,14 +258,14 @@ class TestTakenBack:
 
         back = acceptance.take_back(second.id, [OFFSET], "of a loose cable", who="ben")
         assert in_force(store) == {OFFSET: 3.0}
-        assert store.effect_names() == {"WRONG": [OFFSET]}
+        assert store.effects.names_by_unit() == {"WRONG": [OFFSET]}
         assert back.result == before.result != accepted.result
         assert back.diagnosis is not None
         assert back.diagnosis["effects"][0]["accepted_at"] is None
         assert told(store)[-1] == ("taken_back", "ben", second.id, "of a loose cable")
 
         acceptance.take_back(first.id, [OFFSET], "so was this")
-        assert in_force(store) == store.effect_names() == {}
+        assert in_force(store) == store.effects.names_by_unit() == {}
 
     def test_what_is_not_accepted_from_the_run_is_not_taken_back(
         self, new_run: Callable[..., Run], store: Store
@@ -285,7 +287,7 @@ class TestTakenBack:
         (effect,) = run.diagnosis["effects"]
         gain = {"gain_pct": {"value": 0.1, "std": 0.01}, "skew_deg": None}
         both = [effect, {**effect, "name": "axis_mismatch", "parameters": gain}]
-        store.update_run(run.id, diagnosis={**run.diagnosis, "effects": both})
+        store.runs.update(run.id, diagnosis={**run.diagnosis, "effects": both})
         Acceptance(store).accept(run.id, [OFFSET, "axis_mismatch"])
         back = Acceptance(store).take_back(run.id, ["axis_mismatch"], "why not")
         assert list(in_force(store)) == [OFFSET]

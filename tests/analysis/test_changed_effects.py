@@ -31,7 +31,7 @@ def offset(z_mg: float, changed: dict[str, str] | None) -> dict[str, Any]:
 
 
 def diagnosed(store: Store, *effects: dict[str, Any]) -> Run:
-    run = store.create_run(
+    run = store.runs.create(
         unit="AS-1",
         rig="bench-1",
         plan=None,
@@ -40,7 +40,7 @@ def diagnosed(store: Store, *effects: dict[str, Any]) -> Run:
         poses=POSES,
         result=build_result(POSES).to_dict(),
     )
-    store.update_run(run.id, diagnosis={"runs": ["1", run.id], "effects": list(effects)})
+    store.runs.update(run.id, diagnosis={"runs": ["1", run.id], "effects": list(effects)})
     return run
 
 

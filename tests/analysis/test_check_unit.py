@@ -22,7 +22,7 @@ def history(store: Store, days: int = 7) -> None:
 
 
 def named(store: Store, day: float = 3, interval_days: float = 2) -> None:
-    store.name_check_unit("bench-1", "CHECK", interval_days, who="ada")
+    store.check_standards.name("bench-1", "CHECK", interval_days, who="ada")
     with store._database.writing() as session:
         session.get_one(CheckUnitTable, "bench-1").named_at = at(day)
 
@@ -75,9 +75,9 @@ def test_a_rig_without_one_says_what_to_do(store: Store) -> None:
     with pytest.raises(Unknown, match="has no check unit: name one"):
         check_document(store, "bench-1")
     with pytest.raises(NotFound, match="no unit 'nope'"):
-        store.name_check_unit("bench-1", "nope", 1)
+        store.check_standards.name("bench-1", "nope", 1)
     with pytest.raises(NotFound, match="has no check unit"):
-        store.remove_check_unit("bench-1")
+        store.check_standards.remove("bench-1")
     assert suspects(store, histories(store)).of("bench-1", at(0)) is None
 
 
@@ -85,12 +85,12 @@ def test_naming_one_is_in_the_trail_and_another_unit_begins_anew(store: Store) -
     for unit in ("CHECK", "OTHER"):
         ran(store, unit, 0)
     named(store)
-    kept = store.name_check_unit("bench-1", "CHECK", 5)
+    kept = store.check_standards.name("bench-1", "CHECK", 5)
     assert (kept.named_at, kept.interval_days) == (at(3), 5)
-    assert store.name_check_unit("bench-1", "OTHER", 5).named_at > at(3)
-    store.remove_check_unit("bench-1", who="ada")
-    assert store.check_units() == []
-    acts = [entry.act for entry in store.trail(what=["check_unit_changed"])]
+    assert store.check_standards.name("bench-1", "OTHER", 5).named_at > at(3)
+    store.check_standards.remove("bench-1", who="ada")
+    assert store.check_standards.all() == []
+    acts = [entry.act for entry in store.trail.entries(what=["check_unit_changed"])]
     assert [(act.who, act.rig, act.detail["unit"]) for act in acts] == [
         ("ada", "bench-1", "CHECK"),
         (None, "bench-1", "CHECK"),

@@ -52,7 +52,7 @@ def test_an_error_allowed_counts_from_the_calibration_in_force(store: Store, mon
         unit = "DRIFTS"
 
     InForce.document = document
-    monkeypatch.setattr(store, "all_in_force", lambda _serials: [InForce])
+    monkeypatch.setattr(store.revisions, "all_in_force", lambda _serials: [InForce])
     due = within(store, Limit("AS", max_error_deg=0.6)).of("DRIFTS")
     assert due.method == "drift"
     assert at(100) + timedelta(days=80) < due.due_at < at(200), "60°·10⁻⁴ a day is 0.6° after 100 days"

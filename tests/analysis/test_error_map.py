@@ -17,7 +17,7 @@ from calrig.store import Run, Store
 
 def laid(store: Store, lot: MountedPoses, rig: str = "bench-1") -> Run:
     """A run of one clamping."""
-    return store.create_run(
+    return store.runs.create(
         unit=lot.unit,
         rig=rig,
         plan={"mounts_deg": [lot.nominal_deg]},
@@ -48,7 +48,7 @@ def test_one_unit_that_was_clamped_anew_fixes_the_map_of_the_rig(store, bench):
     assert "clamped at 0°, 120°, 240°" in before.says
     laid(store, second)
     bumped = laid(store, first)
-    store.void_run(bumped.id, "bumped")
+    store.amendments.void(bumped.id, "bumped")
     laid(store, third)
     found = error_map(store, "bench-1")
     assert (found.units, set(found.approach)) == (2, {-1, 1})
@@ -67,5 +67,5 @@ def test_a_rig_without_runs_has_none_and_of_many_the_newest_count(store, bench):
     runs = [laid(store, replace(first, poses=first.poses[:4])) for _ in range(MOST_RUNS + 1)]
     chosen = [run_id for run_id, _ in basis_of(store, "bench-1").runs]
     assert chosen == [remounted.id, *(run.id for run in runs[:1:-1])]
-    store.exclude_pose(runs[-1].id, 1, "leant on", result=None)
+    store.amendments.exclude_pose(runs[-1].id, 1, "leant on", result=None)
     assert dict(basis_of(store, "bench-1").runs)[runs[-1].id] == 3

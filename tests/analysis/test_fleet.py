@@ -34,7 +34,7 @@ def calibrated(
     ]
     result = build_result(poses).to_dict()
     given: dict[str, Any] = {"plan": None, "status": "completed", "provenance": {}}
-    return store.create_run(unit=unit, rig=rig, poses=poses, result=result, **given)
+    return store.runs.create(unit=unit, rig=rig, poses=poses, result=result, **given)
 
 
 @contextmanager
@@ -64,7 +64,7 @@ def runs(store: Store) -> dict[str, Run]:
         "mistaken": calibrated(store, "C", 3),
         "short": calibrated(store, "D", 4, n=5),
     }
-    store.update_run(made["mistaken"].id, diagnosis={"verdict": "named", "effects": []})
+    store.runs.update(made["mistaken"].id, diagnosis={"verdict": "named", "effects": []})
     return made
 
 
@@ -76,18 +76,18 @@ def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs, proce
         {"run_id": runs["backlash"].id, "verdict_before": None, "verdict_now": "named"},
         {"run_id": runs["mistaken"].id, "verdict_before": "named", "verdict_now": "nothing"},
     ]
-    assert set(store.findings()) == {runs["backlash"].id, runs["mistaken"].id}
-    assert store.finding_document(runs["backlash"].id)["effects"][0]["name"] == "backlash"
-    assert store.run(runs["mistaken"].id).diagnosis["verdict"] == "named"  # what people saw stays
+    assert set(store.findings.all()) == {runs["backlash"].id, runs["mistaken"].id}
+    assert store.findings.document(runs["backlash"].id)["effects"][0]["name"] == "backlash"
+    assert store.runs.get(runs["mistaken"].id).diagnosis["verdict"] == "named"  # what people saw stays
 
 
 def test_nothing_is_done_twice_until_poses_or_catalogue_change(store, runs, monkeypatch, processes):
     first = reanalyse(store, store, processes, unseen)
     assert reanalyse(store, store, nobody, unseen)["changed"] == first["changed"]
-    before = store.findings()
-    store.exclude_pose(runs["mistaken"].id, 3, "bumped", result=None)
+    before = store.findings.all()
+    store.amendments.exclude_pose(runs["mistaken"].id, 3, "bumped", result=None)
     reanalyse(store, store, processes, unseen)
-    after = store.findings()
+    after = store.findings.all()
     assert [run for run in after if after[run] != before[run]] == [runs["mistaken"].id]
     monkeypatch.setattr(fleet, "catalogue_version", lambda: "f" * 64)
     with pytest.raises(WorkError, match="another calrig"):  # the processes still have that of the files
@@ -95,14 +95,14 @@ def test_nothing_is_done_twice_until_poses_or_catalogue_change(store, runs, monk
 
 
 def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_path: Path, processes):
-    listed = [run for part in store.completed_runs() for run in part]
-    write_poses(tmp_path / "poses", store.packed_poses(listed))
-    store.void_run(runs["noise"].id, "bumped")  # the files have it still
+    listed = [run for part in store.fleet.completed_runs() for run in part]
+    write_poses(tmp_path / "poses", store.fleet.packed_poses(listed))
+    store.amendments.void(runs["noise"].id, "bumped")  # the files have it still
     calibrated(store, "E", 5)  # and lack this one
     with Store.open(f"sqlite:///{tmp_path / 'found.db'}", writer="tests") as results:
         found = reanalyse(store, results, processes, unseen, tmp_path / "poses")
-        assert set(results.findings()) == {runs["backlash"].id, runs["mistaken"].id}
-    assert store.findings() == {}
+        assert set(results.findings.all()) == {runs["backlash"].id, runs["mistaken"].id}
+    assert store.findings.all() == {}
     direct = reanalyse(store, store, processes, unseen)
     assert (found["runs"], found["changed"], found["rigs"]) == (4, direct["changed"], direct["rigs"])
 
@@ -111,7 +111,7 @@ def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store, pr
     made = [calibrated(store, unit, seed, backlash_deg=0.1) for seed, unit in enumerate("ABC")]
 
     def left_at(run, theta_deg, approach):
-        poses = [one.pose for one in store.poses(run.id)]
+        poses = [one.pose for one in store.poses.of(run.id)]
         left = residuals(poses, run.result.bias_deg, run.result.scale)
         here = [(pose.theta_deg, pose.approach) == (theta_deg, approach) for pose in poses]
         return np.mean(np.array(left)[here])

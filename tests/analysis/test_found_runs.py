@@ -30,11 +30,11 @@ def units(store, judged):
 
 def test_what_another_program_wrote_is_not_looked_at_and_written_anew(store):
     assert units(store, "noise") == ["A-4", "A-2", "A-0"]
-    assert store.judged_runs(Sought(), "noise").judged_whole == []
+    assert store.verdicts.judged_runs(Sought(), "noise").judged_whole == []
     assert units(store, "more_than_noise") == ["A-3", "A-1"]
 
 
 def test_a_store_that_is_only_read_is_searched_as_well(store, store_path):
     with Store.open(f"sqlite:///{store_path}", writer=None) as reader:
         assert units(reader, "noise") == ["A-4", "A-2", "A-0"]
-        assert len(reader.judged_runs(Sought(), "noise").judged_whole) == 5
+        assert len(reader.verdicts.judged_runs(Sought(), "noise").judged_whole) == 5

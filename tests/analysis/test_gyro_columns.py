@@ -31,13 +31,13 @@ def store(tmp_path):
 @pytest.fixture
 def run_id(store):
     """Three poses: a full turn to the second at 60 °/s, one back to the third; each dwell 1 s."""
-    run = store.create_run(unit="AS-1", rig="bench-1", plan=None, status="running", provenance={})
+    run = store.runs.create(unit="AS-1", rig="bench-1", plan=None, status="running", provenance={})
     for index, rate_dps in enumerate((0.0, 60.0, -60.0)):
         first_s = 7.0 * index
         blocks = [block(index, "move", first_s - 6.0, 6.0, rate_dps)] if index else []
         blocks.append(block(index, "dwell", first_s, 1.0, 0.0))
         pose = Pose(360.0 * (index % 2), 0.0)
-        store.add_pose(run.id, index, pose, blocks, [("pose", {"index": index})])
+        store.poses.add(run.id, index, pose, blocks, [("pose", {"index": index})])
     return run.id
 
 
@@ -54,7 +54,7 @@ def test_each_move_is_integrated_about_three_axes(store, run_id):
 
 
 def test_a_move_from_a_pose_that_was_excluded_is_not_told(store, run_id):
-    store.exclude_pose(run_id, 1, "touched", result=None)
+    store.amendments.exclude_pose(run_id, 1, "touched", result=None)
     first, down = poses_with_gyro(store, run_id)
     assert "gyro_x_dps" in first.covariates
     assert "gyro_move_x_deg" not in down.covariates

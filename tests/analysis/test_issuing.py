@@ -50,14 +50,14 @@ class Lab:
         return self.records.import_poses(unit=unit, rig="bench", file_name="p.csv", content=content)
 
     def accepts(self, run: Run, effect: dict[str, Any] = WARMTH) -> None:
-        self.store.update_run(run.id, diagnosis={"effects": [effect]})
+        self.store.runs.update(run.id, diagnosis={"effects": [effect]})
         Acceptance(self.store, self.issuer).accept(run.id, [effect["name"]])
 
     def told(self, unit: str = "A") -> list[tuple[int, str]]:
-        return [(one.revision, one.status) for one in self.store.revisions(unit)]
+        return [(one.revision, one.status) for one in self.store.revisions.of(unit)]
 
     def stale(self, unit: str = "A") -> list[list[str]]:
-        return [one["stale"] for one in self.issuer.listed(self.store.revisions(unit))]
+        return [one["stale"] for one in self.issuer.listed(self.store.revisions.of(unit))]
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def strict(store: Store) -> Lab:
 
 def test_a_revision_is_numbered_hashed_and_never_changes(lab):
     run = lab.imports()
-    first = lab.store.in_force("A")
+    first = lab.store.revisions.in_force("A")
     document = first.document
     assert (document["revision"], document["run_id"], document["unit"]) == (1, run.id, "A")
     without = {key: value for key, value in document.items() if key != "sha256"}
@@ -80,33 +80,33 @@ def test_a_revision_is_numbered_hashed_and_never_changes(lab):
     assert document["sha256"] == first.sha256 == hashlib.sha256(text.encode()).hexdigest()
     lab.accepts(run)
     lab.records.exclude_pose(run.id, 3, "knocked")
-    assert lab.store.revision("A", 1).text == first.text
+    assert lab.store.revisions.get("A", 1).text == first.text
     assert lab.told() == [(3, "in_force"), (2, "superseded"), (1, "superseded")]
 
 
 def test_effects_accepted_later_make_another_revision_with_its_own_number(lab):
     run = lab.imports()
     lab.accepts(run)
-    second = lab.store.in_force("A")
+    second = lab.store.revisions.in_force("A")
     assert (second.revision, [e["name"] for e in second.document["effects"]]) == (2, ["temperature_bias"])
     assert second.reason == f"accepted from run {run.id}: temperature bias"
-    assert second.document["bias_deg"] != lab.store.revision("A", 1).document["bias_deg"]
+    assert second.document["bias_deg"] != lab.store.revisions.get("A", 1).document["bias_deg"]
     assert all("formula" in effect for effect in second.document["effects"])
 
 
 def test_what_is_not_a_calibration_of_its_own_replaces_nothing(lab):
     run = lab.imports()
     for plan, follows in (({"kind": "verification"}, None), ({"kind": "static"}, None), (None, run.id)):
-        other = lab.store.create_run(
+        other = lab.store.runs.create(
             unit="A", rig="bench", plan=plan, follows=follows, status="running", provenance={}
         )
         for k, x in enumerate((-10.0, 0.0, 10.0)):
-            lab.store.add_pose(other.id, k, Pose(x, x + 0.1), [], [])
+            lab.store.poses.add(other.id, k, Pose(x, x + 0.1), [], [])
         result = build_result([Pose(x, x + 0.1) for x in (-10.0, 0.0, 10.0)]).to_dict()
-        lab.store.update_run(other.id, status="completed", result=result)
+        lab.store.runs.update(other.id, status="completed", result=result)
         with pytest.raises(Conflict, match=rf"run {other.id} is a .*: it gives no calibration"):
             lab.issuer.draft("A", other.id)
-        assert lab.issuer.redraft(lab.store.run(other.id), by=None, reason="looked at") is None
+        assert lab.issuer.redraft(lab.store.runs.get(other.id), by=None, reason="looked at") is None
     assert lab.told() == [(1, "in_force")]
 
 
@@ -119,7 +119,9 @@ def test_a_strict_labs_draft_waits_for_a_person_and_says_so_with_name_and_reason
     assert strict.stale() == [[], ["Accepted since: temperature_bias."]]
     strict.issuer.release("A", 2, by="ben", reason="effects confirmed")
     assert strict.told() == [(2, "in_force"), (1, "superseded")]
-    acts = [(e.act.what, e.act.who, e.act.revision, e.act.reason) for e in strict.store.trail(unit="A")]
+    acts = [
+        (e.act.what, e.act.who, e.act.revision, e.act.reason) for e in strict.store.trail.entries(unit="A")
+    ]
     assert ("released", "ada", 1, "reviewed") in acts
     assert ("released", "ben", 2, "effects confirmed") in acts
 
@@ -129,7 +131,7 @@ def test_there_is_a_way_back_to_a_superseded_revision_and_none_from_a_withdrawn_
     lab.issuer.release("A", 1, by="ada", reason="flight software has no temperature")
     assert lab.told() == [(2, "superseded"), (1, "in_force")]
     lab.issuer.withdraw("A", 1, by="ada", reason="wrong after all")
-    assert (lab.told(), lab.store.in_force("A")) == ([(2, "superseded"), (1, "withdrawn")], None)
+    assert (lab.told(), lab.store.revisions.in_force("A")) == ([(2, "superseded"), (1, "withdrawn")], None)
     with pytest.raises(Refused, match="revision 1 of unit 'A' is withdrawn: make a new draft instead"):
         lab.issuer.release("A", 1, by="ada", reason="again")
     with pytest.raises(Invalid, match="a reason is needed"):
@@ -167,7 +169,7 @@ def test_a_person_chooses_which_accepted_effects_enter(lab):
     lab.accepts(run)
     bare = lab.issuer.draft("A", run.id, [], by="ada", reason="for an older autopilot")
     assert bare.document["effects"] == []
-    assert bare.document["bias_deg"] == lab.store.revision("A", 1).document["bias_deg"]
+    assert bare.document["bias_deg"] == lab.store.revisions.get("A", 1).document["bias_deg"]
     assert lab.stale()[0] == [], "left out on purpose"
     with pytest.raises(
         Conflict, match="'backlash' is no accepted effect of unit 'A'; accepted: temperature_bias"
@@ -178,10 +180,10 @@ def test_a_person_chooses_which_accepted_effects_enter(lab):
 def test_a_voided_run_gives_way_to_the_latest_that_counts_and_else_stays_in_force_stale(lab):
     first, second = lab.imports(), lab.imports(content=CSV.replace(b",20\n", b",21\n"))
     lab.records.void(second.id, "wrong clamp")
-    in_force = lab.store.in_force("A")
+    in_force = lab.store.revisions.in_force("A")
     assert (in_force.run_id, in_force.reason) == (first.id, f"run {second.id} was voided: wrong clamp")
     lab.records.void(first.id, "wrong stage")
-    assert lab.store.in_force("A").revision == in_force.revision, "there is nothing to replace it"
+    assert lab.store.revisions.in_force("A").revision == in_force.revision, "there is nothing to replace it"
     assert lab.stale()[0] == [f"Run {first.id} has been voided: wrong stage"]
 
 
@@ -193,24 +195,24 @@ def test_a_stage_effect_accepted_for_another_unit_changes_no_document_and_is_tol
     }
     lab.imports("A")
     other = lab.imports("B")
-    before = lab.store.in_force("A").text
+    before = lab.store.revisions.in_force("A").text
     lab.accepts(other, worn)
-    assert lab.store.in_force("A").text == before
+    assert lab.store.revisions.in_force("A").text == before
     assert lab.stale("A") == [["Accepted since: stage_eccentricity (rig bench)."]]
     assert lab.told("B") == [(2, "in_force"), (1, "superseded")]
-    assert lab.store.in_force("B").document["effects"] == [], "a stage's error is never flown"
+    assert lab.store.revisions.in_force("B").document["effects"] == [], "a stage's error is never flown"
 
 
 @OF_A_FILE
 def test_what_an_older_store_had_in_force_becomes_revision_1_once(lab, database):
     lab.accepts(lab.imports("A"))
     lab.imports("B", b"target_deg,reading_deg\n0,0.1\n0,0.2\n")
-    expected = lab.store.in_force("A").document
+    expected = lab.store.revisions.in_force("A").document
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.execute("DELETE FROM issued_calibration")
     assert [one.revision for one in lab.issuer.bring_over()] == [1]
     assert lab.issuer.bring_over() == []
-    brought = lab.store.in_force("A")
+    brought = lab.store.revisions.in_force("A")
     assert (lab.told(), brought.reason, lab.told("B")) == ([(1, "in_force")], BROUGHT_OVER, [])
     changed = {"revision", "issued_at", "sha256"}
     assert {k: v for k, v in brought.document.items() if k not in changed} == {
@@ -221,12 +223,12 @@ def test_what_an_older_store_had_in_force_becomes_revision_1_once(lab, database)
 @OF_A_FILE
 def test_a_document_that_was_tampered_with_is_not_handed_out(lab, database):
     lab.imports()
-    document = lab.store.in_force("A").document
+    document = lab.store.revisions.in_force("A").document
     changed = canonical({**document, "bias_deg": 0.0})
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.execute("UPDATE issued_calibration SET document = ?", [changed])
     with pytest.raises(StoreDamagedError, match="revision 1 of unit 'A' is not what was issued"):
-        lab.store.in_force("A")
+        lab.store.revisions.in_force("A")
 
 
 @OF_A_FILE
@@ -239,11 +241,11 @@ def test_the_store_itself_refuses_two_in_force(lab, database):
 def test_a_unit_that_never_was_is_removed_once_its_run_is_moved_and_its_revision_withdrawn(lab):
     run = lab.imports("AS-0O42")
     lab.records.move(run.id, "AS-0042", "a letter O for a zero")
-    assert lab.store.in_force("AS-0042").run_id == run.id
+    assert lab.store.revisions.in_force("AS-0042").run_id == run.id
     assert lab.stale("AS-0O42") == [[f"Run {run.id} belongs to unit AS-0042 now."]]
     with pytest.raises(Refused, match="revision 1 of unit 'AS-0O42' is in force: withdraw it first"):
-        lab.store.remove_unit("AS-0O42")
+        lab.store.units.remove("AS-0O42")
     lab.issuer.withdraw("AS-0O42", 1, by="ada", reason="there is no such unit")
-    lab.store.remove_unit("AS-0O42")
-    assert [unit.serial for unit in lab.store.units()] == ["AS-0042"]
-    assert lab.store.trail(unit="AS-0O42")[-1].act.what == "unit_removed"
+    lab.store.units.remove("AS-0O42")
+    assert [unit.serial for unit in lab.store.units.all()] == ["AS-0042"]
+    assert lab.store.trail.entries(unit="AS-0O42")[-1].act.what == "unit_removed"

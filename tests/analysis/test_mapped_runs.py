@@ -22,7 +22,7 @@ DIAL_DEG = np.repeat(np.linspace(-60.0, 60.0, 7), 2)
 @pytest.fixture
 def run(store: Store) -> Run:
     """A run of a faultless unit by the map in force, which is the stage's own."""
-    solution = store.keep_solution(solved())
+    solution = store.solutions.save(solved())
     put_in_force(store, "bench-1", solution.id, who=None)
     kept = provenance_part(store, "bench-1", {})
     angle = np.radians(DIAL_DEG)
@@ -33,20 +33,20 @@ def run(store: Store) -> Run:
 
 def laid(store: Store, poses: list[Pose], provenance: dict[str, Any]) -> Run:
     given: dict[str, Any] = {"plan": None, "status": "completed", "provenance": provenance}
-    return store.create_run(unit="A", rig="bench-1", poses=poses, **given)
+    return store.runs.create(unit="A", rig="bench-1", poses=poses, **given)
 
 
 def counted(store: Store, run: Run) -> list[Pose]:
-    return [one.pose for one in store.poses(run.id, include_excluded=False)]
+    return [one.pose for one in store.poses.of(run.id, include_excluded=False)]
 
 
 def test_a_run_rests_on_its_own_map_when_none_is_in_force_any_more(store, run):
-    store.withdraw_stage_map("bench-1", "the gear was changed")
+    store.stage_maps.withdraw("bench-1", "the gear was changed")
     result = refitted(store, run, counted(store, run))
     assert result.scale == pytest.approx(1.0, abs=1e-9)
     assert result.rms_calibrated_deg < 1e-9 < 0.01 < result.rms_raw_deg
     assert result.reference.kind == "map"
-    (batch,) = store.pose_batches(run.id)
+    (batch,) = store.poses.batches_of(run.id)
     assert [one.pose.map_deg for one in batch] == [pose.map_deg for pose in counted(store, run)]
 
 
@@ -62,7 +62,7 @@ def test_a_pose_beyond_the_map_leaves_the_run_to_the_certificate_until_it_is_exc
     result = refitted(store, far, counted(store, far))
     assert (result.reference.kind, result.reference.std_deg) == ("harmonic", 0.29)
     assert "1 pose stands at dial angles of 80° to 80°" in result.reference_says
-    store.exclude_pose(far.id, 14, "beyond the map", result=None)
+    store.amendments.exclude_pose(far.id, 14, "beyond the map", result=None)
     again = refitted(store, far, counted(store, far))
     assert again.reference.kind == "map"
     assert again.reference_says is None
@@ -71,7 +71,7 @@ def test_a_pose_beyond_the_map_leaves_the_run_to_the_certificate_until_it_is_exc
 def test_a_certificate_states_the_map_with_what_it_rests_on(store, run):
     poses = [Pose(float(d), float(d) + 0.01 * (-1) ** k) for k, d in enumerate(DIAL_DEG)]
     noisy = laid(store, poses, run.provenance)
-    store.update_run(noisy.id, result=fitted(counted(store, noisy), [], noisy.provenance).to_dict())
+    store.runs.update(noisy.id, result=fitted(counted(store, noisy), [], noisy.provenance).to_dict())
     said = certificate(store, Issuer(store).draft("A", noisy.id), LaboratorySettings())
     of_stage = next(line for line in said.budget.contributions if line.type_ == "B")
     assert "by its map" in of_stage.title

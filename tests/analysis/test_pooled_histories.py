@@ -33,10 +33,10 @@ def test_of_very_many_the_unit_is_whole_and_the_latest_stand_for_all(store, monk
     monkeypatch.setattr(module, "POOLED", 12)
     found = histories(store, ["AS-3"])
     assert [found.rows[place].run_id for place in found.of("AS-3")] == [
-        row.run_id for row in store.comparison(["AS-3"])
+        row.run_id for row in store.units.comparison(["AS-3"])
     ]
     assert len(found.rows) == 12 + 2  # of the unit's four runs two are among the latest
-    latest = {row.run_id for row in sorted(store.comparison(), key=lambda row: row.finished_at)[-12:]}
+    latest = {row.run_id for row in sorted(store.units.comparison(), key=lambda row: row.finished_at)[-12:]}
     assert latest <= {row.run_id for row in found.rows}
     assert [row.unit for row in found.rows] == sorted(row.unit for row in found.rows)
     assert len(unit_changes(store, "AS-3")) == 3

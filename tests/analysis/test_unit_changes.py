@@ -56,7 +56,7 @@ def test_what_does_not_count_is_in_no_difference(store: Store) -> None:
     several(store)
     before = unit_changes(store, "U0")
     voided = ran(store, "U0", 100, 9.0)
-    store.void_run(voided.id, "wrong unit")
+    store.amendments.void(voided.id, "wrong unit")
     ran(store, "U0", 101, 9.0, kind="verification")
     ran(store, "U0", 102, 9.0, follows=before[-1]["to"])
     assert unit_changes(store, "U0") == before
@@ -84,11 +84,11 @@ def test_what_the_stored_diagnosis_of_both_runs_found_is_said(store: Store) -> N
         "parameters": {"y_mg": {"value": 0.1, "std": 0.1}, "z_mg": {"value": 6.02, "std": 0.1}},
     }
     constant = {**effect, "changed": None}
-    store.update_run(second.id, diagnosis={"runs": [first.id, second.id], "effects": [effect, constant]})
+    store.runs.update(second.id, diagnosis={"runs": [first.id, second.id], "effects": [effect, constant]})
     (change,) = unit_changes(store, "HIT")
     assert change["effects"] == [effect]
     assert change["says"] == "z offset moved by 6.0 ± 0.1 mg."
-    store.update_run(second.id, diagnosis={"runs": [second.id], "effects": [constant]})
+    store.runs.update(second.id, diagnosis={"runs": [second.id], "effects": [constant]})
     assert unit_changes(store, "HIT")[0]["effects"] is None
 
 

@@ -92,7 +92,11 @@ def from_a_file(service: Any, unit: str) -> None:
 
 
 def content(service: Any, revision: int | None = None) -> Certificate:
-    found = service.store.in_force(SERIAL) if revision is None else service.store.revision(SERIAL, revision)
+    found = (
+        service.store.revisions.in_force(SERIAL)
+        if revision is None
+        else service.store.revisions.get(SERIAL, revision)
+    )
     return certificate(service.store, found, LABORATORY)
 
 
@@ -152,7 +156,7 @@ def test_it_is_pdf_a_3_the_same_bytes_again_with_the_document_inside(lab: tuple[
     reader = pypdf.PdfReader(io.BytesIO(first))
     metadata = reader.trailer["/Root"]["/Metadata"].get_data().decode()
     assert "<pdfaid:part>3</pdfaid:part>" in metadata and "<pdfaid:conformance>B<" in metadata
-    assert reader.attachments["calibration.json"] == [service.store.in_force(SERIAL).text.encode()]
+    assert reader.attachments["calibration.json"] == [service.store.revisions.in_force(SERIAL).text.encode()]
 
 
 def test_an_amendment_names_what_it_replaces_and_other_words_have_another_number(
@@ -175,7 +179,7 @@ def test_the_trail_says_where_the_head_of_its_chain_was(lab: tuple[httpx.Client,
     _, service = lab
     mark = content(service).trail
     assert mark is not None
-    entry = next(one for one in service.store.trail() if one.seq == mark.seq)
+    entry = next(one for one in service.store.trail.entries() if one.seq == mark.seq)
     assert (entry.sha256, entry.act.what, entry.act.revision) == (mark.sha256, "released", 2)
 
 
@@ -215,7 +219,7 @@ def test_a_unit_of_a_file_has_a_certificate_that_says_so_and_states_no_uncertain
     text = flat("".join(pages_of(pdf_of(lab[0], "FILE-1"), 1)))
     assert flat("Expanded uncertainty of a calibrated elevation: not stated") in text
     assert flat("Customer not stated") in text
-    found = certificate(lab[1].store, lab[1].store.in_force("FILE-1"), LABORATORY)
+    found = certificate(lab[1].store, lab[1].store.revisions.in_force("FILE-1"), LABORATORY)
     assert "they were imported from a file" in found.deviations[0]
 
 
@@ -262,6 +266,6 @@ def test_of_a_run_with_several_mounts_the_poses_of_the_first_one_count(lab: tupl
     file = "\n".join(["target_deg,reading_deg,mount_deg", *rows]).encode()
     service = lab[1]
     Records(service.store, service.issuer).import_poses(unit="M-1", rig=None, file_name="m", content=file)
-    said = certificate(service.store, service.store.in_force("M-1"), LABORATORY)
+    said = certificate(service.store, service.store.revisions.in_force("M-1"), LABORATORY)
     assert [point.elevation_deg for point in said.results.points] == list(range(-40, 41, 10))
     assert any(words.startswith("9 poses at further mounts do not count here") for words in said.deviations)

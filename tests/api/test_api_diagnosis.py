@@ -51,7 +51,7 @@ def traced(bench, found, request):
     service, client = bench
     url = worn(client, request.node.name[:90])
     run_id = url.rsplit("/", 1)[1]
-    service.store.update_run(run_id, diagnosis={**found, "runs": [run_id]})
+    service.store.runs.update(run_id, diagnosis={**found, "runs": [run_id]})
     return url
 
 
@@ -102,9 +102,9 @@ def test_runs_stored_before_this_was_kept_say_null(bench, traced):
     del document["grade"], document["says"], effect["accepted_at"], effect["least_p_value"]
     for candidate in effect["considered"]:
         del candidate["why"]
-    result = service.store.run(run_id).result.to_dict()
+    result = service.store.runs.get(run_id).result.to_dict()
     del result["reference"]
-    service.store.update_run(run_id, diagnosis=document, result=result)
+    service.store.runs.update(run_id, diagnosis=document, result=result)
 
     assert client.get(traced).json()["result"]["reference"] is None
     shown = client.get(f"{traced}/diagnosis").json()

@@ -48,7 +48,7 @@ class Killed:
 
     @property
     def remembered_deg(self) -> float | None:
-        left_deg: float | None = self.service.store.left_at("stepper").stage_deg
+        left_deg: float | None = self.service.store.positions.of("stepper").stage_deg
         return left_deg
 
     def table_deg(self) -> float:
@@ -73,12 +73,12 @@ def killed_in_a_move(store_path: Path, **stage: Any) -> Iterator[Killed]:
         rig = known_as("stepper", simulated)
         with clock.taking_part(), running_service(store_path, rig) as service:
             run = service.start(unit="AS-1", plan=Plan.model_validate(PLAN))
-            clock.until(lambda: len(service.store.poses(run.id)) == 2, "two poses")
+            clock.until(lambda: len(service.store.poses.of(run.id)) == 2, "two poses")
             clock.until(lambda: abs(table(simulated)[1]) > 5.0, "move")
         with running_service(store_path, rig) as service:  # over the store as a killed program leaves it
-            service.store.update_run(run.id, status="running", error=None)
-            if service.store.left_at("stepper") is not None:
-                service.store.leave_at("stepper", None)
+            service.store.runs.update(run.id, status="running", error=None)
+            if service.store.positions.of("stepper") is not None:
+                service.store.positions.save("stepper", None)
             assert mark_interrupted(service.store, {}) == [run.id]
             with serving(service) as client:
                 yield Killed(client, service, run.id, table(simulated)[0], simulated)
@@ -128,7 +128,7 @@ def test_it_says_what_it_needs_and_goes_on_once_it_is_told_right(killed: Killed)
 
 
 def test_a_wrong_word_leaves_a_place_that_is_remembered(killed: Killed) -> None:
-    killed.service.store.leave_at("stepper", killed.stands_deg)
+    killed.service.store.positions.save("stepper", killed.stands_deg)
     assert killed.resume(stage_at_deg=killed.stands_deg - 40.0)["status"] == "interrupted"
     assert killed.remembered_deg == killed.stands_deg
     killed.simulated.stage.reset()

@@ -28,7 +28,7 @@ def put(client, solve, **more):
 
 
 def test_a_map_in_force_is_what_runs_rest_on_and_keep(client, store, quick_plan):
-    kept = store.keep_solution(solved(), by="ada")
+    kept = store.solutions.save(solved(), by="ada")
     before = calibrated(client, quick_plan)
     assert client.get("/api/rigs/bench-1/map").status_code == 404
     shown = put(client, kept.id).raise_for_status().json()
@@ -85,9 +85,9 @@ def test_a_map_in_force_is_what_runs_rest_on_and_keep(client, store, quick_plan)
 def test_what_cannot_be_put_in_force_is_refused_with_the_reason(client, store):
     assert put(client, "other").status_code == 404
     assert put(client, None).status_code == 404, "there is none to withdraw"
-    elsewhere = put(client, store.keep_solution(solved("bench-2")).id)
+    elsewhere = put(client, store.solutions.save(solved("bench-2")).id)
     assert (elsewhere.status_code, "is of rig 'bench-2'" in elsewhere.text) == (409, True)
-    open_one = put(client, store.keep_solution(solved(separable=False)).id)
+    open_one = put(client, store.solutions.save(solved(separable=False)).id)
     assert open_one.status_code == 409
     detail = json.loads(open_one.text)["detail"]
     assert "do not part the stage" in detail
@@ -103,5 +103,5 @@ def test_a_limit_that_the_certificate_rules_out_can_be_passed_by_the_map(client,
         return answer.json()["warnings"]
 
     assert "No unit can pass on this stage" in warned()[0]
-    put(client, store.keep_solution(solved()).id).raise_for_status()
+    put(client, store.solutions.save(solved()).id).raise_for_status()
     assert warned() == []

@@ -85,7 +85,7 @@ def clients(rig: RigSettings, tmp_path_factory: pytest.TempPathFactory) -> Itera
     """A client for somebody of each role, called by it, and `token` for who has the service's one token."""
     path = tmp_path_factory.mktemp("roles") / "calrig.db"
     with running_service(path, rig) as service:
-        tokens = {role: service.store.add_user(role, role)[1] for role in ROLES}
+        tokens = {role: service.store.users.add(role, role)[1] for role in ROLES}
         with serving(service, access=Access(TOKEN, patience_s=0.1)) as client:
             clients = {
                 name: httpx.Client(
@@ -135,17 +135,17 @@ class TestWithoutTheOneToken:
     """On loopback."""
 
     def test_anybody_is_admin_until_an_admin_is_known_by_name(self, service: Any) -> None:
-        service.store.add_user("ada", "operator")
+        service.store.users.add("ada", "operator")
         with serving(service) as client:
             assert client.post("/api/runs/1/void", json={"reason": "slipped"}).status_code == 404
-        service.store.add_user("ben", "admin")
+        service.store.users.add("ben", "admin")
         with serving(service) as client:
             assert client.get("/api/runs").status_code == 401
 
     def test_a_token_that_nobody_has_is_refused_once_there_are_users(self, service: Any) -> None:
-        _, token = service.store.add_user("ada", "viewer")
-        service.store.add_user("ben", "operator")
-        service.store.disable_user("ben")
+        _, token = service.store.users.add("ada", "viewer")
+        service.store.users.add("ben", "operator")
+        service.store.users.disable("ben")
         with serving(service, access=Access(patience_s=0.05)) as client:
             assert client.get("/api/runs", headers={"Authorization": "Bearer bens"}).status_code == 401
             ada = {"Authorization": f"Bearer {token}"}
@@ -193,7 +193,7 @@ def test_an_admin_keeps_users_and_what_changes_holds_from_the_next_request_on(se
 def test_what_cannot_be_done_to_users_is_said(
     service: Any, path: str, body: dict[str, str], status: int
 ) -> None:
-    _, token = service.store.add_user("root", "admin")
+    _, token = service.store.users.add("root", "admin")
     with serving(service) as client:
         root = {"Authorization": f"Bearer {token}"}
         assert client.post(f"/api/users{path}", json=body, headers=root).status_code == status
@@ -213,7 +213,7 @@ class TestBehindAProxy:
     """That names whom it lets in."""
 
     def test_whom_it_names_comes_in_with_their_role(self, service: Any) -> None:
-        service.store.add_user("ada@lab", "viewer", with_token=False)
+        service.store.users.add("ada@lab", "viewer", with_token=False)
         with behind(service, PROXIED) as client:
             ada = {"X-Auth-Name": "ada@lab"}
             assert client.get("/api/runs", headers=ada).status_code == 200
@@ -221,8 +221,8 @@ class TestBehindAProxy:
             assert "ada@lab (viewer)" in client.post("/api/runs", headers=ada, json={}).json()["detail"]
 
     def test_a_token_of_ones_own_says_more_and_the_one_token_says_less(self, service: Any) -> None:
-        service.store.add_user("ada", "viewer", with_token=False)
-        _, bens = service.store.add_user("ben", "operator")
+        service.store.users.add("ada", "viewer", with_token=False)
+        _, bens = service.store.users.add("ben", "operator")
         with serving(service, access=Access(TOKEN, proxies=PROXIED.trusted_proxies)) as client:
 
             def name(header: str, token: str) -> tuple[str | None, str | None]:
@@ -236,13 +236,13 @@ class TestBehindAProxy:
             assert name("eve", TOKEN) == (None, None)
 
     def test_who_was_disabled_comes_in_no_more(self, service: Any) -> None:
-        service.store.add_user("ada", "viewer", with_token=False)
-        service.store.disable_user("ada")
+        service.store.users.add("ada", "viewer", with_token=False)
+        service.store.users.disable("ada")
         with behind(service, PROXIED) as client:
             assert client.get("/api/runs", headers={"X-Auth-Name": "ada"}).status_code == 403
 
     def test_nobody_else_comes_in_and_each_is_told_why(self, service: Any) -> None:
-        service.store.add_user("ada", "viewer", with_token=False)
+        service.store.users.add("ada", "viewer", with_token=False)
         with behind(service, PROXIED) as client:
             assert client.get("/api/runs").status_code == 401
             answer = client.get("/api/runs", headers={"X-Auth-Name": "eve"})
@@ -256,6 +256,6 @@ class TestBehindAProxy:
     def test_from_any_other_address_the_header_says_nothing(
         self, service: Any, claimed: dict[str, str]
     ) -> None:
-        service.store.add_user("ada", "admin", with_token=False)
+        service.store.users.add("ada", "admin", with_token=False)
         with behind(service, Settings(trusted_proxies=("10.0.0.0/24",))) as client:
             assert client.get("/api/runs", headers={"X-Forwarded-User": "ada", **claimed}).status_code == 401

@@ -14,7 +14,7 @@ from support import LONG, NO_TLS, running_service, serving, wait_for
 
 from calrig.instruments.ports import open_port
 from calrig.settings import RigSettings
-from calrig.store import Store
+from calrig.store.runs import Runs
 
 THREADS = 40
 """Those that all requests of the application share."""
@@ -30,7 +30,7 @@ def no_thread_free(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> Ite
         release.wait(60)
         return [], None
 
-    monkeypatch.setattr(Store, "sought_runs", never_ending)
+    monkeypatch.setattr(Runs, "search", never_ending)
     with ThreadPoolExecutor(THREADS + 5) as others:
         for _ in range(THREADS + 5):
             others.submit(httpx.get, f"{client.base_url}/api/runs", timeout=60, verify=NO_TLS)

@@ -19,7 +19,7 @@ from calrig.api.access import Access
 @pytest.fixture
 def ada(service: Any) -> Iterator[httpx.Client]:
     """A releaser."""
-    _, token = service.store.add_user("ada", "releaser")
+    _, token = service.store.users.add("ada", "releaser")
     with serving(service, access=Access("the-benches-of-building-4")) as client:
         client.headers["Authorization"] = f"Bearer {token}"
         yield client

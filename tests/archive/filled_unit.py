@@ -54,7 +54,7 @@ def fill(store: Store) -> None:
         first, UNIT, None, "temperature_bias", "sensor", {"deg_per_c": 0.02, "reference_c": 23.0}
     )
     play = AcceptedEffect(first, None, "bench-1", "backlash", "stage", {"backlash_deg": -0.06})
-    store.accept_effects(first, [warm, play], who="ada")
+    store.effects.accept(first, [warm, play], who="ada")
     issuer.draft(UNIT, first, by="ada", reason="effects accepted")
     records.exclude_pose(first, 5, "somebody leant \u2028 on the 'bench' \\ 温度", who="ada")
     imported(UNIT, 3)
@@ -66,25 +66,27 @@ def fill(store: Store) -> None:
 
 def by_a_map(store: Store, issuer: Issuer) -> None:
     """A unit whose elevations rest on the map of a stage, what was accepted of that stage beside it."""
-    put_in_force(store, "bench-2", store.keep_solution(solved("bench-2")).id, who=None)
+    put_in_force(store, "bench-2", store.solutions.save(solved("bench-2")).id, who=None)
     kept = provenance_part(store, "bench-2", {})
     dial = np.repeat(np.linspace(-60.0, 60.0, 7), 2).tolist()
     poses = [Pose(theta, 0.5 + 1.001 * theta, approach=(-1) ** k) for k, theta in enumerate(dial)]
     given = {"plan": None, "status": "completed", "provenance": kept, "poses": poses, "result": gave()}
-    run = store.create_run(unit=MAPPED, rig="bench-2", **given)
+    run = store.runs.create(unit=MAPPED, rig="bench-2", **given)
     play = AcceptedEffect(run.id, None, "bench-2", "backlash", "stage", {"backlash_deg": 0.06})
-    store.accept_effects(run.id, [play], who="ada")
+    store.effects.accept(run.id, [play], who="ada")
     issuer.draft(MAPPED, run.id, by="ada")
 
 
 def measured(store: Store, status: str) -> None:
-    run = store.create_run(unit=UNIT, rig="bench-1", plan={"kind": "static"}, status="running", provenance={})
+    run = store.runs.create(
+        unit=UNIT, rig="bench-1", plan={"kind": "static"}, status="running", provenance={}
+    )
     for k in range(3):
         done = {"poses_done": k + 1, "poses_total": 3, "fraction": (k + 1) / 3, "remaining_s": None}
         samples = [block(k, "move"), block(k, "dwell")]
-        store.add_pose(run.id, k, Pose(10.0 * k, 10.1 * k), samples, progress=done)
+        store.poses.add(run.id, k, Pose(10.0 * k, 10.1 * k), samples, progress=done)
     if status != "running":
-        store.update_run(run.id, status="completed")
+        store.runs.update(run.id, status="completed")
 
 
 def archive(store: Store, unit: str = UNIT) -> bytes:

@@ -40,16 +40,16 @@ def test_an_archive_holds_all_of_a_unit_and_proves_it(filled, whole, check):
     assert found.not_refitted == {}
     kept = members(whole)
     with Store.open(filled, writer=None) as store:
-        for one in store.revisions(UNIT):
+        for one in store.revisions.of(UNIT):
             assert kept[layout.document_name(one.revision)] == one.text.encode(), "byte for byte as issued"
         states = [(one["revision"], one["status"]) for one in json.loads(kept[layout.REVISIONS])]
         assert states == [(4, "withdrawn"), (3, "superseded"), (2, "superseded"), (1, "superseded")]
         entries = [json.loads(line) for line in kept[layout.TRAIL].splitlines()]
-        assert [one["seq"] for one in entries] == [entry.seq for entry in store.trail(unit=UNIT)]
+        assert [one["seq"] for one in entries] == [entry.seq for entry in store.trail.entries(unit=UNIT)]
         for run in json.loads(kept[layout.RUNS]):
-            poses = [stored.pose for stored in store.poses(run["run_id"])]
+            poses = [stored.pose for stored in store.poses.of(run["run_id"])]
             assert read_poses(kept[layout.run_names(run["run_id"])[1]]).poses == poses
-        head = store.trail(newest_first=True, limit=1)[0]
+        head = store.trail.entries(newest_first=True, limit=1)[0]
     manifest = json.loads(kept[layout.MANIFEST])
     assert manifest["trail"]["head"] == {"seq": head.seq, "sha256": head.sha256}
     (left_out,) = manifest["left_out"]
@@ -85,7 +85,7 @@ def test_the_same_store_gives_the_same_bytes_and_one_more_entry_other_ones(fille
 
 def test_what_rests_on_a_map_of_the_stage_is_fitted_again_by_it(filled, check):
     with Store.open(filled, writer=None) as store:
-        (revision,) = store.revisions(MAPPED)
+        (revision,) = store.revisions.of(MAPPED)
         assert revision.basis["effects"], "of the stage, which the map holds already"
         whole = archive(store, MAPPED)
     assert (check(whole).problems, check(whole).refitted) == ([], [1])

@@ -72,7 +72,7 @@ def _figures(number: int, rng: np.random.Generator) -> CalibrationTable:
 
 
 def test_comparison_query(benchmark, store):
-    assert len(benchmark(store.comparison)) == UNITS * RUNS
+    assert len(benchmark(store.units.comparison)) == UNITS * RUNS
 
 
 def test_comparison_with_changes_and_due_dates(benchmark, store):

@@ -39,4 +39,4 @@ def store(tmp_path: Path):
 def test_a_hundred_revisions_are_listed(benchmark, store):
     """As `GET /api/units/A/calibrations` does: aim 150 ms for the whole page."""
     issuer = Issuer(store)
-    assert len(benchmark(lambda: issuer.listed(store.revisions("A")))) == REVISIONS
+    assert len(benchmark(lambda: issuer.listed(store.revisions.of("A")))) == REVISIONS

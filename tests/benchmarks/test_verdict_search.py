@@ -36,7 +36,7 @@ def store(tmp_path_factory: pytest.TempPathFactory):
     ]
     result = build_result(poses, None, (), Reference(0.03, distribution="normal")).to_dict()
     with Store.open(f"sqlite:///{path}", writer="benchmark") as opened:
-        opened.replace_limits(LIMITS, who=None)
+        opened.limits.replace(LIMITS, who=None)
         with opened._database.writing() as session:
             session.add_all(UnitTable(serial=f"U{u:04}", created_at=FIRST_DAY) for u in range(UNITS))
             session.flush()
@@ -67,5 +67,5 @@ def _run(number: int, result: dict) -> RunTable:
 @pytest.mark.parametrize("judged", ["fail", "more_than_noise"])
 def test_a_verdict_that_no_run_has(benchmark, store, judged):
     """Aim 0.3 s."""
-    found = benchmark(store.judged_runs, Sought(), judged)
+    found = benchmark(store.verdicts.judged_runs, Sought(), judged)
     assert (found.items, found.judged_whole, found.next_cursor) == ([], [], None)

@@ -29,9 +29,9 @@ def measured(rig: RigSettings, tmp_path_factory: pytest.TempPathFactory) -> Meas
         store = service.store
         return Measured(
             run,
-            store.events_after(run_id),
-            store.poses(run_id),
-            store.samples(run_id),
+            store.events.after(run_id),
+            store.poses.of(run_id),
+            store.samples.of(run_id),
             packed(service, run_id),
         )
 

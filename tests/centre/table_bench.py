@@ -179,7 +179,7 @@ def packed(service: RunService, run_id: str, *, events_each: int = 30, epoch: in
 
 
 def _packed(store: Store, run_id: str, events_each: int, epoch: int) -> Iterator[Packed]:
-    run = store.run(run_id)
+    run = store.runs.get(run_id)
     assert run is not None
     told = {name: getattr(run, name) for name in KNOWN}
     told |= {
@@ -187,10 +187,10 @@ def _packed(store: Store, run_id: str, events_each: int, epoch: int) -> Iterator
         "result": None if run.result is None else run.result.to_dict(),
     }
     told |= {name: None if (at := getattr(run, name)) is None else at.isoformat() for name in TIMES}
-    poses = {one.index: packed_row(one.index, one.pose, one.excluded) for one in store.poses(run_id)}
+    poses = {one.index: packed_row(one.index, one.pose, one.excluded) for one in store.poses.of(run_id)}
     now = datetime.now(UTC).isoformat()
     *events, end = [
-        {"seq": one.seq, "type": one.type, "data": one.data, "at": now} for one in store.events_after(run_id)
+        {"seq": one.seq, "type": one.type, "data": one.data, "at": now} for one in store.events.after(run_id)
     ]
     head = {"v": 1, "epoch": epoch, "run": told}
     for first in range(0, len(events), events_each):

@@ -95,7 +95,7 @@ def test_a_watcher_goes_on_after_the_connection_that_tells_of_news_was_cut(
     centre: CentreService, bench: TableBench, url: str, measured: Measured
 ):
     bench.deliver(measured.run.id, measured.parcels[:1])
-    wait_for(lambda: centre.store.run(measured.run.id), "run")
+    wait_for(lambda: centre.store.runs.get(measured.run.id), "run")
     woken = threading.Event()
     centre.bus.subscribe(measured.run.id, woken.set)
     cut = (

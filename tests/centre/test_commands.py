@@ -133,7 +133,7 @@ def test_an_abort_of_a_taken_run_returns_once_the_bench_has_told_of_its_end(
     bench.answer(command)
 
     assert aborting.result().status == "aborted"
-    assert [event.data["status"] for event in centre.store.events_after(run_id)] == [
+    assert [event.data["status"] for event in centre.store.events.after(run_id)] == [
         "queued",
         "running",
         "aborted",

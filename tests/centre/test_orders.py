@@ -30,8 +30,8 @@ def test_a_run_its_order_and_its_job_are_made_together(centre: CentreService, be
     assert bench.jobs() == [
         ("rig:hall-2/bench-1", "rig:hall-2/bench-1", {"run_uid": run.id, "epoch": 1}, "todo")
     ]
-    assert [event.data["status"] for event in centre.store.events_after(run.id)] == ["queued"]
-    assert [entry.act.what for entry in centre.store.trail(unit="A")] == ["started"]
+    assert [event.data["status"] for event in centre.store.events.after(run.id)] == ["queued"]
+    assert [entry.act.what for entry in centre.store.trail.entries(unit="A")] == ["started"]
 
 
 def test_an_uncertainty_that_nobody_could_state_is_not_ordered_as_an_end(
@@ -61,7 +61,7 @@ def test_what_was_aborted_while_it_waited_is_never_taken(
     run = centre.abort(run_id)
 
     assert (run.status, run.finished_at is None) == ("aborted", False)
-    assert [event.data["status"] for event in centre.store.events_after(run_id)] == ["queued", "aborted"]
+    assert [event.data["status"] for event in centre.store.events.after(run_id)] == ["queued", "aborted"]
     assert bench.take(run_id, 1) is None
     assert bench.take(run_id, 2) is None  # the wish of that epoch is none
     with pytest.raises(Conflict, match="is aborted and cannot be aborted"):
@@ -92,7 +92,7 @@ def test_a_busy_rig_is_refused_unless_the_run_may_wait(centre: CentreService, be
 
     assert [job[2]["run_uid"] for job in bench.jobs()] == [first, second]
     assert centre.rigs()[0].run_id == first
-    assert [entry.act.unit for entry in centre.store.trail()] == ["A", "B"]
+    assert [entry.act.unit for entry in centre.store.trail.entries()] == ["A", "B"]
 
 
 def test_what_cannot_be_ordered_is_said_before_anything_is_stored(
@@ -111,7 +111,7 @@ def test_what_cannot_be_ordered_is_said_before_anything_is_stored(
     with pytest.raises(Conflict, match=r"bench hall-2 was last seen 3[67]\d\d s ago"):
         centre.start(unit="A", plan=plan)
 
-    assert centre.store.runs() == ([], None)
+    assert centre.store.runs.page() == ([], None)
     assert bench.jobs() == []
     assert centre.start(unit="A", plan=plan, queue=True).status == "queued"
 
@@ -126,7 +126,8 @@ def _interrupted(centre: CentreService, bench: TableBench, measured: Measured) -
     end = {**last, "seq": last["seq"] + 1, "type": "state", "data": state}
     bench.deliver(measured.run.id, [*parcels, ({**document, "events": [end], "poses": []}, None)])
     wait_for(
-        lambda: (run := centre.store.run(measured.run.id)) and run.status == "interrupted", "interruption"
+        lambda: (run := centre.store.runs.get(measured.run.id)) and run.status == "interrupted",
+        "interruption",
     )
     return measured.run.id
 
@@ -155,10 +156,10 @@ def test_a_resumption_takes_along_where_its_stage_stands(
     with pytest.raises(Invalid, match="has homing"):
         centre.resume(run_id, 12.5)
     known = centre.run(run_id).provenance
-    centre.store.update_run(run_id, provenance={**known, "stage": {**known["stage"], "homes": False}})
+    centre.store.runs.update(run_id, provenance={**known, "stage": {**known["stage"], "homes": False}})
     centre.resume(run_id, 12.5)
     assert bench.order(run_id).document["stage_at_deg"] == 12.5
-    centre.store.withdraw_order(run_id)
+    centre.store.orders.withdraw(run_id)
     centre.resume(run_id)
     assert bench.order(run_id).document["stage_at_deg"] is None, "what was said before does not count"
 

@@ -100,7 +100,7 @@ def test_what_a_bench_says_in_another_form_is_not_known_and_keeps_nothing_from_b
 
 def test_a_bench_that_never_spoke_is_there_without_rigs(halls: Hall) -> None:
     client, benches = halls
-    benches.store.add_bench("bench-9", "hall 10")
+    benches.store.enrolment.add("bench-9", "hall 10")
     bench = client.get("/api/benches/overview").json()[-1]
     assert (bench["name"], bench["state"], bench["rigs"]) == ("bench-9", "never_seen", [])
 

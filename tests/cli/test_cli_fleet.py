@@ -57,7 +57,7 @@ def test_without_dask_calrigs_own_processes_do_it_and_a_scheduler_cannot(runs, m
     assert json.loads(calrig("fleet", "--json").stdout)["changed"][0]["verdict_now"] == "named"
     calrig("diagnose", runs[0])
     with Store.open("sqlite:///calrig.db", writer="tests") as store:
-        store.exclude_pose(runs[0], 3, "bumped", result=None)
+        store.amendments.exclude_pose(runs[0], 3, "bumped", result=None)
     said = reason("fleet", "--scheduler", "tcp://127.0.0.1:8786", status=1)
     assert said == "calrig: --scheduler needs Dask: pip install 'calrig[fleet]'"
 

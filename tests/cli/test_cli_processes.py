@@ -151,7 +151,7 @@ def test_sigterm_ends_a_service_in_order_with_a_run_and_a_browser_on_it(bench, m
     assert [line["run_id"] for line in log if "interrupted" in line["message"]] == [run_id]
     assert {line["level"] for line in log} <= {"info", "warning"}
     with Store.open(f"sqlite:///{bench / 'calrig.db'}", writer=None) as store:
-        run = store.run(run_id)
+        run = store.runs.get(run_id)
     assert run.status == "interrupted"
     assert run.progress.poses_done >= 1
 
@@ -169,4 +169,4 @@ def test_a_service_that_was_killed_leaves_no_device_behind_and_a_run_that_says_s
     (bench / "calrig.toml").write_text(RIG)
     calrig("run", "--unit", "B", status=1)  # whoever writes next; its rig is not plugged in
     with Store.open(f"sqlite:///{bench / 'calrig.db'}", writer=None) as store:
-        assert store.run(run_id).status == "interrupted"
+        assert store.runs.get(run_id).status == "interrupted"

@@ -45,8 +45,8 @@ def test_import_export_and_api_say_the_same_of_the_limits_of_the_configuration(f
     assert imported.startswith("· Fail against the limits “flight” (simple rule).\n· Scale 1.0")
     assert calrig("export", "--unit", "A").stderr.endswith(imported)  # a draft: what fails is not released
     with Store.open(store_url(), writer=None) as store:
-        run = store.run(run_id)
-        (revision,) = store.revisions("A")
+        run = store.runs.get(run_id)
+        (revision,) = store.revisions.of("A")
         assert imported.splitlines() == [f"· {said}" for said in run.verdict.says]
         assert revision.verdict == run.verdict.to_dict()
         assert revision.status == "draft"
@@ -73,7 +73,7 @@ def test_the_beginning_of_an_id_will_do_where_no_other_begins_so(folder):
         for run_id, reading_deg in ((first, 0.5), (second, 0.7)):
             poses = [Pose(0.0, reading_deg), Pose(10.0, 10.0)]
             given = {"plan": None, "status": "completed", "provenance": {}, "poses": poses}
-            store.create_run(unit="A", rig=None, run_id=run_id, **given)
+            store.runs.create(unit="A", rig=None, run_id=run_id, **given)
     for typed in ("0123abcd", "0123ABCD-0", first):
         assert "\n0.0,0.5\n" in calrig("export", typed, "--format", "csv").stdout
     assert reason("export", "0123ab", "--format", "csv", status=2) == (
@@ -122,7 +122,7 @@ def test_a_backup_in_the_middle_of_a_run_is_one_file_with_every_pose_announced_b
     client.post(f"/api/runs/{run_id}/abort").raise_for_status()
 
     with Store.open(f"sqlite:///{tmp_path / 'copy.db'}", writer=None) as copy:
-        kept = [stored.pose.reading_deg for stored in copy.poses(run_id)]
+        kept = [stored.pose.reading_deg for stored in copy.poses.of(run_id)]
     assert kept[: len(announced)] == [pose["reading_deg"] for pose in announced]
 
 
@@ -145,7 +145,7 @@ def test_names_of_another_encoding_are_taken_or_refused_in_words(folder):
     (folder / latin).write_text(POSES)
     run_id = calrig("import", latin, "--unit", "A", "--db", latin + ".db").stdout.strip()
     with Store.open(store_url(latin + ".db"), writer=None) as store:
-        assert store.run(run_id).provenance["imported_from"] == "poses-\\udce4.csv"
+        assert store.runs.get(run_id).provenance["imported_from"] == "poses-\\udce4.csv"
     odd = os.fsdecode(b"\xe4")
     assert "UTF-8" in reason("import", "poses.csv", "--unit", "A", "--rig", odd, status=1)
     calrig("import", "poses.csv", "--unit", "A")

@@ -279,17 +279,17 @@ def test_a_named_store_goes_before_the_variable_and_a_named_server_before_the_lo
 def test_a_run_of_another_program_is_watched_in_the_file(folder):
     with Store.open(store_url(), writer="run") as store:
         given = {"plan": None, "provenance": {}, "poses": [Pose(0.0, 0.5)]}
-        run = store.create_run(unit="A", rig=None, status="running", **given)
+        run = store.runs.create(unit="A", rig=None, status="running", **given)
         said = []
         watcher = threading.Thread(target=lambda: said.append(reason("watch", run.id, status=1)), daemon=True)
         watcher.start()
-        store.update_run(run.id, status="interrupted", error="the power went")
+        store.runs.update(run.id, status="interrupted", error="the power went")
         watcher.join()
     assert said == [
         f"calrig: run {run.id} interrupted: the power went; `calrig resume {run.id}` goes on with it"
     ]
     with Store.open(store_url(), writer="run") as store:
-        left = store.create_run(unit="A", rig=None, status="running", **given)
+        left = store.runs.create(unit="A", rig=None, status="running", **given)
     assert "is running in the store, and no program is there" in reason("watch", left.id[:8], status=1)
 
 
@@ -301,7 +301,7 @@ def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(there, serv
         Pose(k % 121 - 60.0, k % 121 - 59.0 + 0.1 * (k % 7), covariates={"a": k % 11}) for k in range(3000)
     ]
     given = {"plan": None, "status": "completed", "provenance": {}, "poses": poses}
-    slow = service.store.create_run(unit="SLOW", rig=None, **given)
+    slow = service.store.runs.create(unit="SLOW", rig=None, **given)
 
     async def work():
         begun = asyncio.Event()

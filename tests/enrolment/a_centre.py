@@ -57,8 +57,8 @@ class Centre:
 
     def join(self, name: str) -> str:
         """URL by which a new bench reaches the database."""
-        _, code = self.store.add_bench(name)
-        return self.store.enroll_bench(code)[1]
+        _, code = self.store.enrolment.add(name)
+        return self.store.enrolment.enroll(code)[1]
 
 
 @pytest.fixture(scope="session")

@@ -37,7 +37,7 @@ def urls(centre: Centre) -> Iterator[dict[str, str]]:
         owner.execute(FILLING)
     yield urls
     for name in urls:
-        centre.store.revoke_bench(name)
+        centre.store.enrolment.revoke(name)
     with connect(centre.url) as owner:
         owner.execute(EMPTYING)
 
@@ -199,7 +199,7 @@ def test_a_revoked_bench_is_cut_off_and_comes_in_no_more(
     bench.execute(
         "SELECT pg_advisory_lock(x'63616C726967'::bigint)"
     )  # the turn of whoever writes: it is freed
-    centre.store.revoke_bench("a")
+    centre.store.enrolment.revoke("a")
     with pytest.raises(psycopg.OperationalError):
         bench.execute("SELECT 1")
     with pytest.raises(psycopg.OperationalError, match="not permitted to log in"):

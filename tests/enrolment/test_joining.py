@@ -44,45 +44,45 @@ _NAMES: list[str] = []
 
 class TestCodes:
     def test_a_code_works_once_and_only_its_hash_is_kept(self, centre: Centre, name: str) -> None:
-        awaited, code = centre.store.add_bench(name, "hall 2", now=NOW)
+        awaited, code = centre.store.enrolment.add(name, "hall 2", now=NOW)
         assert (awaited.hall, awaited.code_until) == ("hall 2", NOW + timedelta(days=1))
         with connect(centre.url) as owner:
             kept = owner.execute("SELECT bench::text FROM bench WHERE name = %s", [name]).fetchone()
         assert code not in str(kept)
-        joined, url = centre.store.enroll_bench(code, now=NOW)
+        joined, url = centre.store.enrolment.enroll(code, now=NOW)
         assert joined == name
         with connect(url) as bench:
             assert bench.execute("SELECT calrig_my_bench()").fetchone() == (name,)
         with pytest.raises(WrongCode, match="was used"):
-            centre.store.enroll_bench(code, now=NOW)
-        (member,) = [one for one in centre.store.memberships() if one.name == name]
+            centre.store.enrolment.enroll(code, now=NOW)
+        (member,) = [one for one in centre.store.enrolment.benches() if one.name == name]
         assert (member.code_until, member.enrolled_at, member.revoked_at) == (None, NOW, None)
 
     def test_after_a_day_it_works_no_more_and_another_one_does(self, centre: Centre, name: str) -> None:
-        _, late = centre.store.add_bench(name, now=NOW)
+        _, late = centre.store.enrolment.add(name, now=NOW)
         with pytest.raises(WrongCode, match="older than a day"):
-            centre.store.enroll_bench(late, now=NOW + timedelta(days=1, seconds=1))
-        _, code = centre.store.add_bench(name, now=NOW + timedelta(days=2))
+            centre.store.enrolment.enroll(late, now=NOW + timedelta(days=1, seconds=1))
+        _, code = centre.store.enrolment.add(name, now=NOW + timedelta(days=2))
         with pytest.raises(WrongCode):
-            centre.store.enroll_bench(late, now=NOW + timedelta(days=2))
-        assert centre.store.enroll_bench(code, now=NOW + timedelta(days=3))[0] == name
+            centre.store.enrolment.enroll(late, now=NOW + timedelta(days=2))
+        assert centre.store.enrolment.enroll(code, now=NOW + timedelta(days=3))[0] == name
 
     def test_who_was_revoked_joins_again_with_another_password(self, centre: Centre, name: str) -> None:
-        _, code = centre.store.add_bench(name)
-        _, before = centre.store.enroll_bench(code)
+        _, code = centre.store.enrolment.add(name)
+        _, before = centre.store.enrolment.enroll(code)
         with pytest.raises(Refused, match=f"joined already: revoke it first .`calrig bench revoke {name}`"):
-            centre.store.add_bench(name)
-        assert centre.store.revoke_bench(name).revoked_at is not None
-        assert centre.store.revoke_bench(name).revoked_at is not None  # told twice, done once
-        _, code = centre.store.add_bench(name)
-        _, after = centre.store.enroll_bench(code)
+            centre.store.enrolment.add(name)
+        assert centre.store.enrolment.revoke(name).revoked_at is not None
+        assert centre.store.enrolment.revoke(name).revoked_at is not None  # told twice, done once
+        _, code = centre.store.enrolment.add(name)
+        _, after = centre.store.enrolment.enroll(code)
         assert make_url(after).username == make_url(before).username
         assert make_url(after).password != make_url(before).password
         with connect(after) as bench:
             assert bench.execute("SELECT name FROM bench").fetchall() == [(name,)]
-        done = [e.act.what for e in centre.store.trail() if e.act.detail["bench"] == name]
+        done = [e.act.what for e in centre.store.trail.entries() if e.act.detail["bench"] == name]
         assert done == ["bench_added", "bench_enrolled", "bench_revoked", "bench_added", "bench_enrolled"]
-        assert centre.store.broken_link() is None
+        assert centre.store.trail.broken_link() is None
 
     def test_passwords_are_kept_as_scram_verifiers(self, centre: Centre, postgresql_server: str) -> None:
         role = make_url(centre.join("scram")).username
@@ -93,10 +93,10 @@ class TestCodes:
 
     def test_a_bench_that_is_not_there_or_cannot_be_is_said_to_be(self, centre: Centre) -> None:
         with pytest.raises(NotFound, match="there is no bench 'x'"):
-            centre.store.revoke_bench("x")
+            centre.store.enrolment.revoke("x")
         for wrong in ("", "hall 2", "a/b", "b" * 21):
             with pytest.raises(Refused, match="a bench's name has 1 to 20"):
-                centre.store.add_bench(wrong)
+                centre.store.enrolment.add(wrong)
 
     def test_where_the_centre_may_make_no_roles_it_is_told_how_it_may(
         self, postgresql_server: str, owned_template: tuple[str, str]
@@ -111,7 +111,7 @@ class TestCodes:
                 Store.open(url, writer="tests") as store,
                 pytest.raises(Refused, match="GRANT calrig_bench TO … WITH ADMIN OPTION"),
             ):
-                store.add_bench("b")
+                store.enrolment.add("b")
             with turn(server):
                 server.execute(f"DROP DATABASE {plain} WITH (FORCE)")
                 server.execute(f"DROP ROLE {plain}")
@@ -119,8 +119,8 @@ class TestCodes:
     def test_a_file_has_no_benches(self, tmp_path: Path) -> None:
         with Store.open(f"sqlite:///{tmp_path}/calrig.db", writer="tests") as store:
             with pytest.raises(Refused, match="benches join a centre, whose store is in PostgreSQL"):
-                store.add_bench("b")
-            assert store.memberships() == []
+                store.enrolment.add("b")
+            assert store.enrolment.benches() == []
 
 
 @pytest.mark.parametrize(
@@ -224,7 +224,7 @@ class TestOverHttp:
     def test_a_code_is_not_spent_on_an_agent_that_could_not_reach_the_database(
         self, centre: Centre, name: str
     ) -> None:
-        _, code = centre.store.add_bench(name)
+        _, code = centre.store.enrolment.add(name)
         with (
             closing(RunService(centre.store, ())) as service,
             serving(service) as client,

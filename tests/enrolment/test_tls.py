@@ -93,8 +93,8 @@ def joined(tls_server: tuple[str, int, Path]) -> str:
         server.execute("CREATE DATABASE centre")
     url = of(admin, database="centre")
     with Store.open(url, writer="tests") as store:
-        _, code = store.add_bench("b")
-        _, told = store.enroll_bench(code, host="db.lab.example", port=port)
+        _, code = store.enrolment.add("b")
+        _, told = store.enrolment.enroll(code, host="db.lab.example", port=port)
     return checked_by(told, ca)
 
 
@@ -138,7 +138,7 @@ def test_the_code_goes_by_tls_to_who_proves_to_be_the_centre(centre: Centre, tmp
     for folder in ("lab", "another"):
         (tmp_path / folder).mkdir()
         certify(tmp_path / folder)
-    _, code = centre.store.add_bench("by-tls")
+    _, code = centre.store.enrolment.add("by-tls")
     kept = tmp_path / "centre.url"
     with (
         closing(RunService(centre.store, ())) as service,

@@ -45,7 +45,7 @@ def test_it_calibrates_a_unit(driver, store_path):
 def test_a_cable_pulled_in_the_midst_of_a_run(device, store_path):
     with on_terminals(store_path) as (simulated, _, service):
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
-        wait_for(lambda: service.store.poses(run.id) or None, "first pose", PATIENCE_S)
+        wait_for(lambda: service.store.poses.of(run.id) or None, "first pose", PATIENCE_S)
         wire = getattr(simulated, f"{device}_wire")
         wire.stop()
         ended = service.wait(run.id, PATIENCE_S)
@@ -65,7 +65,7 @@ def test_a_stepper_that_is_reset_on_the_way_fails_the_run_and_gives_no_angle(hom
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
-        clock.until(lambda: service.store.poses(run.id), "first pose")
+        clock.until(lambda: service.store.poses.of(run.id), "first pose")
         clock.until(lambda: simulated.stage.state == State.RUN, "move")
         simulated.stage.reset()
         ended = service.wait(run.id, 20)
@@ -83,7 +83,7 @@ def test_a_stepper_that_runs_into_its_limit_switch_fails_the_run_with_its_alarm_
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
-        clock.until(lambda: service.store.poses(run.id), "first pose")
+        clock.until(lambda: service.store.poses.of(run.id), "first pose")
         clock.until(lambda: simulated.stage.state == State.RUN, "move")
         simulated.stage.close_limit_switch()
         ended = service.wait(run.id, 20)

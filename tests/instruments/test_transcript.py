@@ -56,7 +56,7 @@ def test_a_failed_run_keeps_the_last_minute_of_each_wire(launch_rig, tmp_path):
     with running_service(tmp_path / "calrig.db", rig) as service:
         failed = service.wait(service.start(unit="AS-1", plan=Plan()).id, 30)
         assert failed.status == "failed"
-        kept = service.store.transcripts(failed.id)
+        kept = service.store.events.transcripts(failed.id)
         with serving(service) as client:
             told = client.get(f"/api/runs/{failed.id}/transcript").text
     assert list(kept) == [rig.stage.port, rig.imu.port]

@@ -41,7 +41,7 @@ def measure(store: Store, *plans: Plan, rigs: Sequence[TruthRig]) -> list[Measur
         runs = [service.wait(run.id, 60) for run in started]
     for run in runs:
         assert run.status == "completed", run.error
-    return [Measured(run, store.poses(run.id), store) for run in runs]
+    return [Measured(run, store.poses.of(run.id), store) for run in runs]
 
 
 def measure_one(store: Store, chosen: Plan, **options: Any) -> Measured:

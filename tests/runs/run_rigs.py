@@ -99,7 +99,7 @@ def pass_time(bench: TruthRig, duration_s: float) -> None:
 
 def events(store: Store, run: Run, kind: str | None = None) -> list[Event]:
     """The run's events, of one type or all."""
-    return [e for e in store.events_after(run.id, 0, 100_000) if kind in (None, e.type)]
+    return [e for e in store.events.after(run.id, 0, 100_000) if kind in (None, e.type)]
 
 
 def states(store: Store, run: Run) -> list[str]:

@@ -39,13 +39,13 @@ def own_store(tmp_path: Path) -> Iterator[Store]:
 
 def measured(store: Store, batches: RunBatches, batch: Batch, unit: str, *, well: bool) -> None:
     """A unit's run, from begin to end, as a rig's would be."""
-    run = store.create_run(unit=unit, rig="bench-1", plan={}, status="running", provenance={})
+    run = store.runs.create(unit=unit, rig="bench-1", plan={}, status="running", provenance={})
     now = batches.standing(batch.id)
     turns = [turn for turn in now.now.turns if turn.unit == unit and turn.state == "waiting"]
     begun = [replace(turn, state="running", rig="bench-1", run_id=run.id) for turn in turns]
-    store.write_turns(batch.id, now.batch.turns, [*now.now.written, *begun])
+    store.batches.update(batch.id, now.batch.turns, [*now.now.written, *begun])
     progress = {"poses_done": 2, "poses_total": 2, "fraction": 1.0, "remaining_s": 0.0}
-    store.update_run(run.id, status="completed" if well else "failed", progress=progress)
+    store.runs.update(run.id, status="completed" if well else "failed", progress=progress)
 
 
 def test_a_finished_list_is_closed_an_hour_after_its_last_unit_and_what_failed_has_had_its_turns(
@@ -54,7 +54,7 @@ def test_a_finished_list_is_closed_an_hour_after_its_last_unit_and_what_failed_h
     with closing(RunService(own_store, [])) as service:
         clock = Later()
         batches = RunBatches(service, now=clock)
-        batch = own_store.keep_batch(DOCUMENT, ["A", "B"])
+        batch = own_store.batches.create(DOCUMENT, ["A", "B"])
         measured(own_store, batches, batch, "A", well=False)
         measured(own_store, batches, batch, "B", well=True)
         clock.hours = 7.9
@@ -80,15 +80,15 @@ def test_a_list_with_units_left_stays_open_and_takes_further_ones_once_it_goes_o
     with closing(RunService(own_store, [])) as service:
         clock = Later()
         batches = RunBatches(service, now=clock)
-        batch = own_store.keep_batch(DOCUMENT, ["A", "B"])
+        batch = own_store.batches.create(DOCUMENT, ["A", "B"])
         clock.hours = 8.1
         ((listed, takes_units),) = batches.listed()
         assert listed.closed_at is None and not takes_units
         with pytest.raises(Conflict, match="measure a unit of it first, or make another list"):
             batches.add(batch.id, ["C"])
-        run = own_store.create_run(unit="A", rig="bench-1", plan={}, status="running", provenance={})
+        run = own_store.runs.create(unit="A", rig="bench-1", plan={}, status="running", provenance={})
         (first, _) = batch.turns
-        own_store.write_turns(
+        own_store.batches.update(
             batch.id, batch.turns, [replace(first, state="running", rig="bench-1", run_id=run.id)]
         )
         assert batches.add(batch.id, ["C"]) == []
@@ -98,12 +98,12 @@ def test_of_two_who_ask_for_the_run_that_tells_why_one_has_it_designed(own_store
     parts = {"stage": {"driver": "smc100", "port": "nowhere"}, "imu": {"driver": "calrig", "port": "nowhere"}}
     with closing(RunService(own_store, [RigSettings(name="bench-1", **parts)])) as service:
         batches = RunBatches(service)
-        batch = own_store.keep_batch({**DOCUMENT, "failed": "follow_up"}, ["A"])
-        run = own_store.create_run(unit="A", rig="bench-1", plan={}, status="running", provenance={})
-        own_store.update_run(run.id, status="completed")
+        batch = own_store.batches.create({**DOCUMENT, "failed": "follow_up"}, ["A"])
+        run = own_store.runs.create(unit="A", rig="bench-1", plan={}, status="running", provenance={})
+        own_store.runs.update(run.id, status="completed")
         of_it = Turn(0, "A", "failed", "bench-1", run.id)
         follow_up = replace(of_it, position=1, state="follow_up")
-        own_store.write_turns(batch.id, batch.turns, [of_it, follow_up])
+        own_store.batches.update(batch.id, batch.turns, [of_it, follow_up])
 
         def apart(_: Callable[..., Designed]) -> Designed:
             assert batches.is_in_design(batch.id, "A")
@@ -120,9 +120,9 @@ def test_of_two_who_ask_for_the_run_that_tells_why_one_has_it_designed(own_store
 def test_who_looks_at_what_is_to_be_mounted_keeps_it_for_that_rig(own_store: Store) -> None:
     with closing(RunService(own_store, [])) as service:
         batches = RunBatches(service)
-        batch = own_store.keep_batch({**DOCUMENT, "rigs": ["l", "r"]}, ["A", "B", "C"])
+        batch = own_store.batches.create({**DOCUMENT, "rigs": ["l", "r"]}, ["A", "B", "C"])
         a, b, c = batch.turns
         batches.standing(batch.id)
-        assert own_store.batch(batch.id).turns == batch.turns, "whoever asks only changes nothing"
+        assert own_store.batches.get(batch.id).turns == batch.turns, "whoever asks only changes nothing"
         batches.look(batch.id)
-        assert own_store.batch(batch.id).turns == [replace(a, rig="l"), replace(b, rig="r"), c]
+        assert own_store.batches.get(batch.id).turns == [replace(a, rig="l"), replace(b, rig="r"), c]

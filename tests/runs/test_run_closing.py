@@ -18,7 +18,7 @@ def test_closing_the_service_leaves_the_stage_stopped_and_the_run_interrupted(
 ) -> None:
     run = begin(service, ENDLESS if state is moving else plan(sweeps=50))
     state(bench, service, run)
-    done = store.poses(run.id)
+    done = store.poses.of(run.id)
     asked_s, began = bench.now_s, CLOCK.now_s()
     service.close()
     assert CLOCK.now_s() - began < 5
@@ -27,7 +27,7 @@ def test_closing_the_service_leaves_the_stage_stopped_and_the_run_interrupted(
     ended = service.run(run.id)
     assert (ended.status, states(store, run)[-1]) == ("interrupted", "interrupted")
     assert "service was stopped" in (ended.error or "")
-    assert store.poses(run.id)[: len(done)] == done
+    assert store.poses.of(run.id)[: len(done)] == done
     with pytest.raises(Conflict, match="shutting down"):
         begin(service)
 

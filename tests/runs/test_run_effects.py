@@ -70,7 +70,7 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
 
     later = completed(service, plan=PLAN.model_copy(update={"sweeps": 2, "seed": 9}))
     assert later.result.rms_with_effects_deg < 0.3 * later.result.rms_calibrated_deg
-    assert service.store.poses(later.id)[0].pose.approach == -1, "it stood there and moved off first"
+    assert service.store.poses.of(later.id)[0].pose.approach == -1, "it stood there and moved off first"
 
     verified = completed(service, plan=PLAN.model_copy(update={"kind": "verification", "sweeps": 1}))
     assert verified.provenance["verifies"] == later.id

@@ -108,7 +108,7 @@ def outcomes(store: Store) -> Iterator[dict[str, Outcome]]:
             name: Outcome(
                 rig,
                 ended[name],
-                store.poses(runs[name].id),
+                store.poses.of(runs[name].id),
                 states(store, runs[name]),
                 *seen[name],
                 service.wait(after[name].id, 30),
@@ -119,7 +119,7 @@ def outcomes(store: Store) -> Iterator[dict[str, Outcome]]:
 
 def on_third_move(store: Store, run: Run, rig: TruthRig) -> None:
     """Until the table moves after two poses."""
-    until(lambda: len(store.poses(run.id)) == 2 and rig.moves(), "move after two poses", 30)
+    until(lambda: len(store.poses.of(run.id)) == 2 and rig.moves(), "move after two poses", 30)
 
 
 def break_it(rig: TruthRig, case: Case) -> None:
@@ -182,7 +182,7 @@ def test_a_stage_that_stalls(make_rig: Any, serve: Any, store: Store) -> None:
     run = service.wait(service.start(unit="AS-1", plan=plan(elevations_deg=[-10, 40])).id, 30)
     assert run.status == "failed"
     assert re.search(r"DISABLE.*the move to 40°.*obstacle", run.error or ""), run.error
-    assert len(store.poses(run.id)) == 1
+    assert len(store.poses.of(run.id)) == 1
     assert bench.stands_for_good()
     again = service.wait(service.start(unit="AS-1", plan=plan(elevations_deg=[-10, 10])).id, 30)
     assert again.status == "completed", again.error
@@ -245,7 +245,7 @@ def test_a_cable_pulled_in_the_midst_of_a_run(make_rig: Any, serve: Any, store: 
     ended = service.wait(run.id, 20)
     assert ended.status == "failed"
     assert re.search(rf"port {wire.url} went away.*check cable and power", ended.error or "")
-    assert len(store.poses(run.id)) == 2
+    assert len(store.poses.of(run.id)) == 2
     if device == "board":
         assert bench.stands_for_good()
     else:

@@ -43,7 +43,7 @@ def test_five_degrees_lost_end_the_run_which_says_what_was_felt_and_what_to_do(e
     assert told.data["stage_move_deg"] == pytest.approx(10.0, abs=0.01)
     assert told.data["difference_deg"] == pytest.approx(-5.0, abs=WITHIN_DEG)
     assert told.data["ends_run"]
-    assert len(store.poses(run.id)) == 14, "the pose that told of it is kept"
+    assert len(store.poses.of(run.id)) == 14, "the pose that told of it is kept"
 
 
 def test_one_degree_lost_is_said_live_counted_and_in_the_verdict(ended, store):

@@ -41,7 +41,7 @@ def test_a_follow_up_decides_between_the_suspects_and_confirms_on_poses_of_its_o
     rig = TruthRig("playing-rig", seed=5, mechanics={"backlash_deg": PLAY_DEG})
     with rig.simulated, running_service(tmp_path / "calrig.db", rig.settings) as service:
         poses = measured_without_witnesses()
-        first = service.store.create_run(
+        first = service.store.runs.create(
             unit="AS-1",
             rig="playing-rig",
             plan=Plan(settle_s=0.5, dwell_s=0.5).model_dump(mode="json"),
@@ -79,7 +79,7 @@ def test_a_run_that_leaves_nothing_ambiguous_has_no_follow_up(service):
     asked = service.follow_up_question(run.id)
     with pytest.raises(Conflict, match="nothing is left to separate"):
         service.follow_up(asked, asked.work())
-    assert service.store.runs()[0][0].id == run.id
+    assert service.store.runs.page()[0][0].id == run.id
 
 
 def test_a_diagnosis_takes_only_runs_of_one_unit_that_have_ended(service):

@@ -44,7 +44,7 @@ def test_events_are_numbered_without_a_gap_and_end_with_the_terminal_state(
 def test_pose_events_are_the_stored_poses(logged: tuple[Run, list[Event], float], store: Store) -> None:
     run, log, _ = logged
     clamped = {"mount": f"{run.id} 0°", "mount_deg": 0.0, "mount_axis": "x"}
-    stored = [{"index": pose.index, **pose.pose.row(), **clamped} for pose in store.poses(run.id)]
+    stored = [{"index": pose.index, **pose.pose.row(), **clamped} for pose in store.poses.of(run.id)]
     told = of(log, "pose")
     errors_deg = [pose.pop("raw_error_deg") for pose in told]
     assert told == stored
@@ -94,13 +94,15 @@ def test_what_is_announced_is_already_in_the_store(
     missing: list[Event] = []
 
     def look() -> None:
-        new = store.events_after(run.id, heard[-1].seq if heard else 0)
+        new = store.events.after(run.id, heard[-1].seq if heard else 0)
         heard.extend(new)
-        kept = {pose.index for pose in store.poses(run.id)}
-        status = store.run(run.id).status
+        kept = {pose.index for pose in store.poses.of(run.id)}
+        status = store.runs.get(run.id).status
         missing.extend(e for e in new if e.type == "pose" and e.data["index"] not in kept)
         missing.extend(e for e in new if e.type == "state" and e is new[-1] and e.data["status"] != status)
-        missing.extend(e for e in new if e.type == "pose" and not len(store.samples(run.id, e.data["index"])))
+        missing.extend(
+            e for e in new if e.type == "pose" and not len(store.samples.of(run.id, e.data["index"]))
+        )
 
     unsubscribe = service.bus.subscribe(run.id, look)
     service.wait(run.id, 30)

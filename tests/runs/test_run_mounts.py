@@ -68,7 +68,7 @@ def test_it_waits_for_each_mount_and_refuses_to_go_on_where_gravity_disagrees(
     service = serve(bench)
     run = begin(service, THREE)
     waits(service, run, 120)
-    stood_deg, done = bench.table_deg(bench.now_s), len(store.poses(run.id))
+    stood_deg, done = bench.table_deg(bench.now_s), len(store.poses.of(run.id))
     assert done == 2
     with pytest.raises(Conflict, match=r"turned by \S*°, not 120°: turn it on by 1[12]\d\.\d°"):
         service.resume(run.id)
@@ -91,7 +91,7 @@ def test_it_waits_for_each_mount_and_refuses_to_go_on_where_gravity_disagrees(
     told = [event.data["waiting_for"] for event in events(store, run, "progress")]
     asked = [{"mount_deg": mount, "mount_axis": "x"} for mount in (120, 240)]
     assert [one for one in told if one] == asked and ended.progress.waiting_for is None
-    poses = [stored.pose for stored in store.poses(run.id)]
+    poses = [stored.pose for stored in store.poses.of(run.id)]
     assert [pose.mount_deg for pose in poses] == [0, 0, 120, 120, 240, 240]
     assert [pose.sweep for pose in poses] == [0, 0, 1, 1, 2, 2]
     assert [pose.target_deg for pose in poses] == [-40, 20] * 3
@@ -113,7 +113,7 @@ def test_its_result_is_of_the_first_mount_and_all_of_them_solve_the_stage(
     unit = document["units"][0]["parameters"]
     for name, true_mg in (("y_mg", 30.0), ("z_mg", -20.0)):
         assert abs(unit[name]["value"] - true_mg) < 5.0 * unit[name]["std"] < 5.0
-    (kept,) = store.revisions("AS-M")
+    (kept,) = store.revisions.of("AS-M")
     assert kept.document["range_deg"] == pytest.approx([-80, 80], abs=0.01)
 
 
@@ -128,7 +128,7 @@ def test_a_run_that_was_interrupted_goes_on_at_the_mount_it_was_at(
     if at == "within a mount":
         clamp(bench, 120)
         service.resume(run.id)
-        until(lambda: len(store.poses(run.id)) > 2, "pose", 60)
+        until(lambda: len(store.poses.of(run.id)) > 2, "pose", 60)
     service.close()
     assert service.run(run.id).status == "interrupted"
     again = serve(bench)
@@ -144,7 +144,7 @@ def test_a_run_that_was_interrupted_goes_on_at_the_mount_it_was_at(
     again.abort(run.id)
     ended = again.run(run.id)
     assert (ended.status, ended.progress.waiting_for) == ("aborted", None)
-    assert [stored.pose.mount_deg for stored in store.poses(run.id)] == [0, 0, 120, 120]
+    assert [stored.pose.mount_deg for stored in store.poses.of(run.id)] == [0, 0, 120, 120]
     assert ("measured_again" in ended.provenance["interruptions"][0]) == (at == "within a mount")
 
 
@@ -160,7 +160,7 @@ def test_other_faces_are_asked_for_at_once_and_read_about_their_own_axis(
     ended = all_mounts(bench, service, run, mounts_deg, axis)
     assert (ended.status, ended.result, ended.faults) == ("completed", None, {}), ended.error
     sense = -1 if axis.startswith("-") else 1
-    for stored in store.poses(run.id):
+    for stored in store.poses.of(run.id):
         pose = stored.pose
         assert abs(wrap_deg(pose.reading_deg - sense * pose.theta_deg)) < 3.0
         along_g = {"x": pose.accel_x_g, "y": pose.accel_y_g, "z": pose.accel_z_g}[axis[-1]]
@@ -177,7 +177,7 @@ def test_nobody_is_asked_for_a_first_mount_that_gravity_agrees_with(
     assert ended.status == "completed" and "paused" not in states(store, run)
     assert ended.result is not None
     assert ended.result.bias_deg == pytest.approx(0.8, abs=0.1)
-    assert store.revisions(run.unit)[0].document["range_deg"] == pytest.approx([90, 150], abs=0.01)
+    assert store.revisions.of(run.unit)[0].document["range_deg"] == pytest.approx([90, 150], abs=0.01)
 
 
 def test_the_rigs_own_clamp_turns_the_unit_for_who_asks_while_the_run_waits(

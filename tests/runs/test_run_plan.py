@@ -15,9 +15,9 @@ from calrig.store import Store
 
 def test_a_dwell_begins_when_the_table_has_stood_for_the_time_to_settle(store: Store) -> None:
     one = measure_one(store, plan(elevations_deg=[20], settle_s=8.0))
-    samples = one.store.samples(one.run.id)
+    samples = one.store.samples.of(one.run.id)
     turned_last_s = samples.time_s[np.abs(samples.gyro_dps[:, 0]) > 5.0][-1]
-    assert one.store.samples(one.run.id, 0).time_s[0] > turned_last_s + 8.0
+    assert one.store.samples.of(one.run.id, 0).time_s[0] > turned_last_s + 8.0
     assert one.column("settle_s").tolist() == [8.0]
 
 
@@ -82,4 +82,4 @@ def test_moves_are_no_faster_than_planned_and_the_stage_keeps_its_own_velocity(
 def test_the_board_samples_at_the_rate_asked_for(store: Store) -> None:
     one = measure_one(store, plan(rate_hz=50))
     np.testing.assert_allclose(one.column("n_samples"), 50, atol=1)
-    np.testing.assert_allclose(np.diff(store.samples(one.run.id, 0).time_s), 0.02, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(store.samples.of(one.run.id, 0).time_s), 0.02, rtol=1e-9)

@@ -95,7 +95,7 @@ def test_a_run_that_cannot_begin_says_why_and_lets_the_next_one(
     first = begin(service, ENDLESS)
     moving(bench, service, first)
     second, third = waiting(service, "Q-2"), waiting(service, "Q-3")
-    store.update_run(second.id, plan={**SHORT.model_dump(mode="json"), "elevations_deg": [-89.0, 120.0]})
+    store.runs.update(second.id, plan={**SHORT.model_dump(mode="json"), "elevations_deg": [-89.0, 120.0]})
     service.abort(first.id)
     until(lambda: service.run(third.id).status == "completed", "end")
     assert service.run(second.id).status == "failed"

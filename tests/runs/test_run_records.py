@@ -57,7 +57,7 @@ def test_an_import_is_a_completed_run_with_its_fit(imported: Run, store: Store) 
     assert imported.provenance["imported_from"] == "poses.csv"
     assert imported.result.reference is None, "nobody says what that stage was worth"
     assert figures(imported) == pytest.approx(line_through(THETA, READING))
-    assert [stored.pose.reading_deg for stored in store.poses(imported.id)] == READING
+    assert [stored.pose.reading_deg for stored in store.poses.of(imported.id)] == READING
     assert imported.progress.model_dump(exclude={"waiting_for"}) == {
         "poses_done": 5,
         "poses_total": 5,
@@ -89,19 +89,19 @@ def test_poses_at_one_elevation_give_no_scale(records: Records) -> None:
 def test_a_bad_file_is_named_with_line_and_column_and_stores_nothing(
     records: Records, store: Store, content: bytes, named: str
 ) -> None:
-    before = store.runs()
+    before = store.runs.page()
     with pytest.raises(Invalid, match=named):
         records.import_poses(unit="AS-bad-file", rig=None, file_name="bad.csv", content=content)
-    assert store.runs() == before
-    assert store.unit("AS-bad-file") is None
+    assert store.runs.page() == before
+    assert store.units.get("AS-bad-file") is None
 
 
 @pytest.mark.parametrize("serial", ["", "A ", "x" * 10_000])
 def test_a_bad_serial_stores_nothing(records: Records, store: Store, serial: str) -> None:
-    before = store.runs()
+    before = store.runs.page()
     with pytest.raises(Invalid, match="serial number"):
         records.import_poses(unit=serial, rig=None, file_name="a.csv", content=csv("0,0"))
-    assert store.runs() == before
+    assert store.runs.page() == before
 
 
 def test_an_excluded_pose_stays_and_the_result_is_that_of_the_others(
@@ -112,7 +112,7 @@ def test_an_excluded_pose_stays_and_the_result_is_that_of_the_others(
     assert run.result.n_poses == 4
     run = records.exclude_pose(imported.id, 0, "so it was before")
     assert figures(run) == pytest.approx(line_through([-30, 30, 60], READING[1:2] + READING[3:]))
-    stored = store.poses(imported.id)
+    stored = store.poses.of(imported.id)
     assert [pose.pose.reading_deg for pose in stored] == READING
     assert [pose.excluded for pose in stored] == [
         "so it was before",
@@ -125,7 +125,7 @@ def test_an_excluded_pose_stays_and_the_result_is_that_of_the_others(
 
 def test_an_exclusion_shows_in_the_comparison(imported: Run, records: Records, store: Store) -> None:
     run = records.exclude_pose(imported.id, 4, "outlier")
-    row = next(row for row in store.comparison(["AS-9"]) if row.run_id == imported.id)
+    row = next(row for row in store.units.comparison(["AS-9"]) if row.run_id == imported.id)
     assert (row.result["bias_deg"], row.result["scale"]) == (run.result.bias_deg, run.result.scale)
 
 
@@ -134,20 +134,20 @@ def test_the_last_pose_cannot_be_excluded(records: Records, store: Store) -> Non
     kept = records.exclude_pose(run.id, 0, "first")
     with pytest.raises(Conflict, match="void the run"):
         records.exclude_pose(run.id, 1, "last")
-    assert store.run(run.id).result == kept.result
-    assert [pose.excluded for pose in store.poses(run.id)] == ["first", None]
+    assert store.runs.get(run.id).result == kept.result
+    assert [pose.excluded for pose in store.poses.of(run.id)] == ["first", None]
 
 
 def test_a_voided_run_is_kept_and_out_of_every_comparison(
     imported: Run, records: Records, store: Store
 ) -> None:
-    assert imported.id in {row.run_id for row in store.comparison(["AS-9"])}
+    assert imported.id in {row.run_id for row in store.units.comparison(["AS-9"])}
     run = records.void(imported.id, "  wrong unit  ")
     assert run.voided.reason == "wrong unit"
     assert run.result == imported.result
-    assert len(store.poses(imported.id)) == 5
-    assert imported.id not in {row.run_id for row in store.comparison(["AS-9"])}
-    latest = store.latest_calibration_run("AS-9")
+    assert len(store.poses.of(imported.id)) == 5
+    assert imported.id not in {row.run_id for row in store.units.comparison(["AS-9"])}
+    latest = store.runs.latest_calibration("AS-9")
     assert latest is None or latest.id != imported.id
 
 
@@ -159,7 +159,7 @@ def test_a_reason_is_needed_and_of_a_length_to_read(
         records.void(imported.id, reason)
     with pytest.raises(Invalid, match="reason"):
         records.exclude_pose(imported.id, 0, reason)
-    assert store.run(imported.id) == imported
+    assert store.runs.get(imported.id) == imported
 
 
 @pytest.mark.parametrize("index", [-1, 5, 1000])
@@ -192,10 +192,10 @@ def test_excluding_from_a_measured_run_keeps_what_its_samples_say_of_the_gyro(
 ) -> None:
     run = service.wait(service.start(unit="AS-1", plan=quick_plan).id, 30)
     amended = records.exclude_pose(run.id, 3, "a door was slammed")
-    left = [p.pose for p in store.poses(run.id) if p.index != 3]
+    left = [p.pose for p in store.poses.of(run.id) if p.index != 3]
     expected = line_through([p.stage_deg for p in left], [p.reading_deg for p in left])
     assert figures(amended) == pytest.approx(expected)
     assert amended.result.gyro == run.result.gyro
     assert amended.result.reference.std_deg == run.result.reference.std_deg == 0.29
     assert amended.result.reference.bias_std_deg != run.result.reference.bias_std_deg
-    assert len(store.samples(run.id, 3)) > 0
+    assert len(store.samples.of(run.id, 3)) > 0

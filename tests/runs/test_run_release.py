@@ -123,7 +123,7 @@ def open_loop(make_rig, request):
 def turned_by(store, rig, deg):
     """Turns the table by hand, as the store would see it: what it remembers is wrong by as much."""
     name = rig.settings.name
-    store.leave_at(name, store.left_at(name).stage_deg - deg)
+    store.positions.save(name, store.positions.of(name).stage_deg - deg)
 
 
 def clamp_anew(rig, mount_deg):

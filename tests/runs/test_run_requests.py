@@ -39,17 +39,17 @@ def test_pause_finishes_the_pose_and_holds_and_resume_goes_on(
     until(bench.moves, "motion")
     service.pause(run.id)
     until(lambda: service.run(run.id).status == "paused", "pause")
-    held_s, done = bench.now_s, store.poses(run.id)
+    held_s, done = bench.now_s, store.poses.of(run.id)
     assert len(done) == 1
     assert bench.table_deg(held_s) == pytest.approx(done[0].pose.target_deg, abs=1e-3)
     assert service.rigs()[0].state == "busy"
     pass_time(bench, 15)
     assert bench.table_dps(held_s, bench.now_s).any() == False  # noqa: E712 (a NumPy bool)
-    assert store.poses(run.id) == done
+    assert store.poses.of(run.id) == done
 
     service.resume(run.id)
     assert service.wait(run.id, 30).status == "completed"
-    assert [stored.index for stored in store.poses(run.id)] == list(range(6))
+    assert [stored.index for stored in store.poses.of(run.id)] == list(range(6))
     assert states(store, run) == ["queued", "running", "paused", "running", "completed"]
 
 
@@ -70,7 +70,7 @@ def test_the_account_of_a_move_after_a_pause_is_as_good_as_any(
     pass_time(bench, 30)
     service.resume(run.id)
     assert service.wait(run.id, 30).status == "completed"
-    assert [p.pose.gyro_move_deg for p in store.poses(run.id)] == pytest.approx([-40, 80], abs=0.1)
+    assert [p.pose.gyro_move_deg for p in store.poses.of(run.id)] == pytest.approx([-40, 80], abs=0.1)
 
 
 def test_the_time_left_is_reckoned_without_the_pause(
@@ -78,7 +78,7 @@ def test_the_time_left_is_reckoned_without_the_pause(
 ) -> None:
     run = begin(service, plan(elevations_deg=[-10, 10], sweeps=4))
     paused(bench, service, run)
-    done = len(store.poses(run.id))
+    done = len(store.poses.of(run.id))
     pass_time(bench, 30)
     service.resume(run.id)
     assert service.wait(run.id, 30).status == "completed"
@@ -100,7 +100,7 @@ def test_abort_stops_the_stage_at_once_and_keeps_what_was_measured(
 ) -> None:
     run = begin(service, chosen)
     reached(bench, service, run)
-    done = store.poses(run.id)
+    done = store.poses.of(run.id)
 
     asked_s = bench.now_s
     ended = service.abort(run.id)
@@ -108,7 +108,7 @@ def test_abort_stops_the_stage_at_once_and_keeps_what_was_measured(
     assert ended.status == "aborted"
     assert bench.stood_after_s(asked_s) < STOPPED_S
     assert bench.stands_for_good()
-    assert store.poses(run.id)[: len(done)] == done
+    assert store.poses.of(run.id)[: len(done)] == done
     assert states(store, run)[-1] == "aborted"
     assert service.rigs()[0].state == "idle"
     again = service.wait(begin(service, plan(elevations_deg=[-5, 5]), unit="AS-2").id, 30)
@@ -122,7 +122,7 @@ def test_abort_before_the_run_has_reached_the_rig_moves_nothing(
     assert service.abort(run.id).status == "aborted"
     assert not bench.has_moved()
     assert bench.stands_for_good()
-    assert store.poses(run.id) == []
+    assert store.poses.of(run.id) == []
     assert service.rigs()[0].state == "idle"
 
 
@@ -168,7 +168,7 @@ def test_a_rig_does_one_run_at_a_time(bench: TruthRig, service: RunService, stor
     with pytest.raises(Conflict, match=f"bench-1.*busy.*{run.id}"):
         begin(service, plan(), unit="AS-2")
     assert service.run(run.id).status in {"queued", "running"}
-    assert store.unit("never on a rig") is None
+    assert store.units.get("never on a rig") is None
     service.abort(run.id)
 
 
@@ -211,7 +211,7 @@ def test_resume_of_a_run_that_is_not_paused(service: RunService) -> None:
 def test_an_unknown_rig_is_refused_with_those_there_are(service: RunService, store: Store) -> None:
     with pytest.raises(Unknown, match=r"bench-9.*bench-1"):
         begin(service, unit="AS-unknown-rig", rig="bench-9")
-    assert store.unit("AS-unknown-rig") is None
+    assert store.units.get("AS-unknown-rig") is None
 
 
 @pytest.mark.parametrize("elevation_deg", [-90.5, 91.0, 200.0])
@@ -220,7 +220,7 @@ def test_an_elevation_beyond_the_limits_is_refused_before_anything_moves(
 ) -> None:
     with pytest.raises(Invalid, match=rf"bench-1.*{elevation_deg:g}°.*-90° to 90°"):
         begin(service, plan(elevations_deg=[0, elevation_deg]), unit="AS-too-far")
-    assert store.unit("AS-too-far") is None
+    assert store.units.get("AS-too-far") is None
     assert not bench.has_moved()
 
 
@@ -228,11 +228,11 @@ def test_an_elevation_beyond_the_limits_is_refused_before_anything_moves(
 def test_a_serial_number_that_cannot_be_one_is_refused(
     service: RunService, store: Store, serial: str
 ) -> None:
-    before = store.runs()
+    before = store.runs.page()
     with pytest.raises(Invalid, match="serial number") as refused:
         begin(service, unit=serial)
     assert len(str(refused.value)) < 200
-    assert store.runs() == before
+    assert store.runs.page() == before
 
 
 def test_who_waits_for_a_run_gets_it_ended(bench: TruthRig, service: RunService) -> None:

@@ -105,7 +105,7 @@ def test_a_pose_says_whence_the_stage_came(measured: Measured) -> None:
 
 def test_a_dwell_is_as_long_as_planned_and_told_by_its_middle(measured: Measured) -> None:
     for stored, at_s in zip(measured.poses, measured.column("time_s"), strict=True):
-        samples = measured.store.samples(measured.run.id, stored.index)
+        samples = measured.store.samples.of(measured.run.id, stored.index)
         assert len(samples) == stored.pose.n_samples
         assert len(samples) == pytest.approx(MEASURED.dwell_s * MEASURED.rate_hz, abs=1)
         assert samples.time_s.mean() == pytest.approx(at_s, abs=1 / MEASURED.rate_hz)
@@ -131,7 +131,7 @@ def test_gyro_bias_and_scale_are_those_the_chip_was_given(seeds: list[Measured])
 
 def test_means_over_the_dwell_are_those_of_its_samples(measured: Measured) -> None:
     for stored in measured.poses:
-        samples, pose = measured.store.samples(measured.run.id, stored.index), stored.pose
+        samples, pose = measured.store.samples.of(measured.run.id, stored.index), stored.pose
         means = samples.accel_g.mean(axis=0)
         np.testing.assert_allclose([pose.accel_x_g, pose.accel_y_g, pose.accel_z_g], means, atol=1e-12)
         assert pose.temperature_c == pytest.approx(samples.temperature_c.mean(), abs=1e-9)
@@ -139,12 +139,12 @@ def test_means_over_the_dwell_are_those_of_its_samples(measured: Measured) -> No
 
 
 def test_the_stored_samples_filtered_again_give_the_same_readings(measured: Measured) -> None:
-    every = measured.store.samples(measured.run.id)
+    every = measured.store.samples.of(measured.run.id)
     assert (np.diff(every.time_s) > 0).all()
     np.testing.assert_allclose(np.diff(every.time_s), 1 / MEASURED.rate_hz, rtol=1e-9)  # without a hole
     filtered = KalmanFilter().run(every.time_s, elevation_deg(every.accel_g), every.gyro_dps[:, 0])
     for stored in measured.poses:
-        dwell_s = measured.store.samples(measured.run.id, stored.index).time_s
+        dwell_s = measured.store.samples.of(measured.run.id, stored.index).time_s
         first, last = np.searchsorted(every.time_s, (dwell_s[0], dwell_s[-1]))
         dwell = filtered[first : last + 1]
         assert stored.pose.reading_deg == pytest.approx(dwell.mean(), abs=1e-9)

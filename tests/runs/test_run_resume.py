@@ -23,7 +23,7 @@ Serve = Callable[..., RunService]
 
 def interrupted(service: RunService, store: Store, run: Run, poses: int = 3) -> Run:
     """The run after it measured some poses and its service was told to stop."""
-    until(lambda: len(store.poses(run.id)) >= poses, f"{poses} poses")
+    until(lambda: len(store.poses.of(run.id)) >= poses, f"{poses} poses")
     service.close()
     left = service.run(run.id)
     assert left.status == "interrupted"
@@ -33,7 +33,7 @@ def interrupted(service: RunService, store: Store, run: Run, poses: int = 3) -> 
 def test_an_interrupted_run_is_resumed_and_says_so(bench: TruthRig, serve: Serve, store: Store) -> None:
     first = serve(bench)
     left = interrupted(first, store, begin(first, PLAN))
-    kept = store.poses(left.id)
+    kept = store.poses.of(left.id)
     again = serve(bench)
     assert again.resume(left.id).status in {"queued", "running"}
     ended = again.wait(left.id, 30)
@@ -45,12 +45,12 @@ def test_an_interrupted_run_is_resumed_and_says_so(bench: TruthRig, serve: Serve
     again_deg = told["measured_again"]
     assert abs(again_deg["difference_deg"]) < 0.1
     assert again_deg["after_deg"] - again_deg["before_deg"] == pytest.approx(again_deg["difference_deg"])
-    poses = store.poses(left.id)
+    poses = store.poses.of(left.id)
     assert poses[: len(kept)] == kept
     assert [stored.pose.target_deg for stored in poses] == [p.target_deg for p in PLAN.poses((-90, 90))]
     times_s = [stored.pose.time_s for stored in poses]
     assert times_s == sorted(times_s)
-    assert (np.diff(store.samples(left.id).time_s) > 0).all()
+    assert (np.diff(store.samples.of(left.id).time_s) > 0).all()
     assert states(store, left) == ["queued", "running", "interrupted", "queued", "running", "completed"]
     assert bench.stands_for_good()
 
@@ -70,7 +70,7 @@ def test_the_result_is_that_of_a_run_that_nobody_disturbed(
     for name, std in (("bias_deg", "bias_std_deg"), ("scale", "scale_std")):
         allowed = 4 * float(np.hypot(getattr(resumed.result, std), getattr(undisturbed.result, std)))
         assert abs(getattr(resumed.result, name) - getattr(undisturbed.result, name)) < allowed, name
-    approaches = [[p.pose.approach for p in store.poses(run.id)] for run in (resumed, undisturbed)]
+    approaches = [[p.pose.approach for p in store.poses.of(run.id)] for run in (resumed, undisturbed)]
     assert approaches[0] == approaches[1]
     assert resumed.result.gyro.scale == pytest.approx(undisturbed.result.gyro.scale, abs=0.01)
 
@@ -82,8 +82,8 @@ def test_the_time_left_of_a_resumed_run_is_what_its_other_poses_then_take(
     left = interrupted(first, store, begin(first, PLAN.model_copy(update={"sweeps": 1})), 2)
     again = serve(bench)
     again.resume(left.id)
-    until(lambda: len(store.poses(left.id)) > left.progress.poses_done, "a pose of its own")
-    told_s, began_s = store.run(left.id).progress.remaining_s, CLOCK.now_s()
+    until(lambda: len(store.poses.of(left.id)) > left.progress.poses_done, "a pose of its own")
+    told_s, began_s = store.runs.get(left.id).progress.remaining_s, CLOCK.now_s()
     assert again.wait(left.id, 30).status == "completed"
     assert told_s == pytest.approx(CLOCK.now_s() - began_s, rel=0.3)
 
@@ -104,15 +104,15 @@ def test_a_stage_that_lost_its_reference_is_homed_again(
 def test_a_static_log_goes_on_after_a_gap(bench: TruthRig, serve: Serve, store: Store) -> None:
     first = serve(bench)
     run = begin(first, plan(kind="static", elevations_deg=[10], dwell_s=45.0))
-    until(lambda: len(store.samples(run.id).time_s) > 1000, "samples")
+    until(lambda: len(store.samples.of(run.id).time_s) > 1000, "samples")
     first.close()
-    before = len(store.samples(run.id).time_s)
+    before = len(store.samples.of(run.id).time_s)
     assert first.run(run.id).status == "interrupted"
     again = serve(bench)
     again.resume(run.id)
     ended = again.wait(run.id, 30)
     assert ended.status == "completed", ended.error
-    time_s = store.samples(run.id).time_s
+    time_s = store.samples.of(run.id).time_s
     assert len(time_s) == pytest.approx(45 * 200, rel=0.01) and len(time_s) > before
     assert (np.diff(time_s) > 0).all()
 
@@ -134,7 +134,7 @@ def test_a_rig_that_was_configured_otherwise_is_not_resumed(
     bench.settings = bench.settings.model_copy(update={**changed, "stage": stage})
     with pytest.raises(Conflict, match=named):
         serve(bench).resume(left.id)
-    assert store.run(left.id) == left
+    assert store.runs.get(left.id) == left
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_another_device_leaves_the_run_interrupted_and_moves_nothing(
     assert ended.status == "interrupted" and named in ended.error and "nothing was moved" in ended.error
     assert not exchanged.has_moved()
     assert "interruptions" not in ended.provenance
-    assert store.poses(left.id) and ended.finished_at is None
+    assert store.poses.of(left.id) and ended.finished_at is None
 
 
 def test_a_unit_that_was_turned_meanwhile_is_noticed(
@@ -171,7 +171,7 @@ def test_a_unit_that_was_turned_meanwhile_is_noticed(
     ended = again.wait(left.id, 30)
     assert ended.status == "interrupted"
     assert "the unit reads +1." in ended.error and "start a new run" in ended.error
-    assert len(store.poses(left.id)) == left.progress.poses_done
+    assert len(store.poses.of(left.id)) == left.progress.poses_done
 
 
 def test_an_interrupted_run_can_be_aborted_instead(bench: TruthRig, serve: Serve, store: Store) -> None:
@@ -188,8 +188,8 @@ def test_the_stage_is_told_to_stop_before_anything_else(
 ) -> None:
     path = tmp_path / "left.db"
     with Store.open(f"sqlite:///{path}", writer="serve") as left:  # as a program leaves it that dies
-        run_id = left.create_run(unit="A", rig="bench-1", plan={}, status="running", provenance={}).id
-        left.create_run(unit="B", rig="bench-2", plan={}, status="completed", provenance={})
+        run_id = left.runs.create(unit="A", rig="bench-1", plan={}, status="running", provenance={}).id
+        left.runs.create(unit="B", rig="bench-2", plan={}, status="completed", provenance={})
     stage = open_stage("smc100", bench.settings.stage.port)
     while stage.status().state in ("not_referenced", "homing"):
         if stage.status().state == "not_referenced":
@@ -209,16 +209,16 @@ def test_the_stage_is_told_to_stop_before_anything_else(
 
     with Store.open(f"sqlite:///{path}", writer="serve", left_by_the_dead=stop) as again:
         assert mark_interrupted(again, {}) == [run_id]
-        assert [run.status for run in again.runs()[0]] == ["completed", "interrupted"]
+        assert [run.status for run in again.runs.page()[0]] == ["completed", "interrupted"]
 
 
 def test_a_stage_that_cannot_be_told_is_said_with_the_run(bench: TruthRig, store: Store) -> None:
-    run = store.create_run(unit="A", rig="gone", plan={}, status="running", provenance={})
+    run = store.runs.create(unit="A", rig="gone", plan={}, status="running", provenance={})
     port = bench.settings.stage.model_copy(update={"port": "/dev/nowhere"})
     gone = bench.settings.model_copy(update={"name": "gone", "stage": port})
     troubles = stop_stages(["gone", "unknown"], {"gone": gone})
     assert "not configured any more" in troubles["unknown"]
     mark_interrupted(store, troubles)
-    told = store.run(run.id)
+    told = store.runs.get(run.id)
     assert told.status == "interrupted"
     assert "/dev/nowhere does not exist" in told.error and "cut its motor power" in told.error

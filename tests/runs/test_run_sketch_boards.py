@@ -53,13 +53,13 @@ def test_a_grbl_stage_and_a_raw_board_at_ten_lines_a_second_calibrate_a_unit(cal
     assert run.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.5)
     assert run.result.scale == pytest.approx(1, abs=0.02)
     assert run.result.gyro.scale is None  # ten samples a second do not carry a move of 40° at 60°/s
-    for stored in store.poses(run.id):
+    for stored in store.poses.of(run.id):
         assert stored.pose.gyro_move_deg is None
         assert 14 <= stored.pose.n_samples <= 21
         assert stored.pose.temperature_c is None
         assert stored.pose.accel_z_g == pytest.approx(np.cos(np.radians(20)), abs=0.02)
         assert stored.pose.reading_stderr_deg > 0
-    samples = sample_columns(store.samples(run.id))
+    samples = sample_columns(store.samples.of(run.id))
     assert "angle_deg" not in samples
     assert (np.diff(samples["time_s"]) > 0).all()
 
@@ -71,12 +71,12 @@ def test_a_board_that_sends_its_own_angle_calibrates_a_unit_by_it(calibrate, sto
     assert run.result.bias_deg == pytest.approx(OFFSET_DEG, abs=0.3)
     assert run.result.gyro.bias_dps == [None] * 3
     assert run.result.gyro.scale is None
-    for stored in store.poses(run.id):
+    for stored in store.poses.of(run.id):
         assert stored.pose.accel_y_g is None
         assert stored.pose.gyro_move_deg is None
         assert stored.pose.reading_stderr_deg > 0
-    samples = sample_columns(store.samples(run.id, 0))
-    assert samples["angle_deg"].mean() == pytest.approx(store.poses(run.id)[0].pose.reading_deg)
+    samples = sample_columns(store.samples.of(run.id, 0))
+    assert samples["angle_deg"].mean() == pytest.approx(store.poses.of(run.id)[0].pose.reading_deg)
     assert np.isnan(samples["gyro_x_dps"]).all()
 
 
@@ -84,7 +84,7 @@ def test_a_plan_whose_dwells_are_too_short_for_the_board_is_refused_before_anyth
     run = calibrate("adafruit-basic", plan(dwell_s=2.0))
     assert run.status == "failed"
     assert "a dwell of 2 s holds about 4, a reading needs 8; nothing was moved: dwell longer" in run.error
-    assert not store.poses(run.id)
+    assert not store.poses.of(run.id)
 
 
 def test_a_board_without_rates_is_refused_a_sweep_before_anything_moves(calibrate, store):
@@ -93,7 +93,7 @@ def test_a_board_without_rates_is_refused_a_sweep_before_anything_moves(calibrat
     assert (
         "mpu6050-light sends no rates and accelerations, which a sweep needs; nothing was moved" in run.error
     )
-    assert not store.poses(run.id)
+    assert not store.poses.of(run.id)
 
 
 def test_another_sketch_than_the_rig_says_fails_the_run_and_names_it(calibrate):

@@ -43,7 +43,7 @@ def test_a_stage_turned_by_hand_meanwhile_does_not_start_until_somebody_says_whe
 ):
     """Gravity tells what the store cannot know; what a person says is held against it as well."""
     assert run_again(serve, open_loop).status == "completed"
-    store.leave_at(open_loop.settings.name, -25.0)
+    store.positions.save(open_loop.settings.name, -25.0)
     refused = run_again(serve, open_loop)
     assert refused.status == "failed"
     assert "said to stand at -25.0°" in refused.error
@@ -61,13 +61,13 @@ def test_a_process_that_died_in_mid_move_leaves_a_place_that_nobody_knows(open_l
     service = serve(open_loop)
     run = begin(service, ENDLESS, rig=open_loop.settings.name)
     moving(open_loop, service, run)
-    assert store.left_at(open_loop.settings.name).stage_deg is None, "as a crash would find it"
+    assert store.positions.of(open_loop.settings.name).stage_deg is None, "as a crash would find it"
     service.abort(run.id)
     until(lambda: states(store, run)[-1] == "aborted", "end")
-    stood_deg = store.left_at(open_loop.settings.name).stage_deg
+    stood_deg = store.positions.of(open_loop.settings.name).stage_deg
     assert stood_deg == pytest.approx(open_loop.table_deg(open_loop.now_s), abs=0.02), "a stop is no crash"
 
-    store.leave_at(open_loop.settings.name, None)
+    store.positions.save(open_loop.settings.name, None)
     refused = run_again(serve, open_loop)
     assert refused.status == "failed"
     assert "where it stands is not known; nothing was moved" in refused.error
@@ -78,17 +78,17 @@ def test_an_interrupted_run_stays_one_where_the_stage_is_not_where_it_was_left(o
     open_loop.simulated.stage.reset()  # it greets whoever opens its port
     service = serve(open_loop)
     run = begin(service, ENDLESS, rig=open_loop.settings.name)
-    until(lambda: store.poses(run.id) or None, "pose", 60)
+    until(lambda: store.poses.of(run.id) or None, "pose", 60)
     service.close()
-    assert store.run(run.id).status == "interrupted"
-    name, left_deg = open_loop.settings.name, store.left_at(open_loop.settings.name).stage_deg
+    assert store.runs.get(run.id).status == "interrupted"
+    name, left_deg = open_loop.settings.name, store.positions.of(open_loop.settings.name).stage_deg
     for wrong_deg, why in ((left_deg + 60.0, "gravity says"), (None, "where it stands is not known")):
         open_loop.simulated.stage.reset()
-        store.leave_at(name, wrong_deg)
+        store.positions.save(name, wrong_deg)
         later = serve(open_loop)
         later.resume(run.id)
-        until(lambda: store.run(run.id).status == "interrupted", "end", 30)
-        assert why in store.run(run.id).error
+        until(lambda: store.runs.get(run.id).status == "interrupted", "end", 30)
+        assert why in store.runs.get(run.id).error
         later.close()
 
 
@@ -103,7 +103,7 @@ def test_steps_lost_leave_a_place_that_nobody_knows(make_rig, serve, store):
     lost = service.wait(service.start(unit="AS-1", plan=chosen, rig="stepper-blocked").id, 60)
     assert lost.status == "failed"
     assert "the unit felt" in lost.error
-    assert store.left_at("stepper-blocked").stage_deg is None
+    assert store.positions.of("stepper-blocked").stage_deg is None
 
 
 def test_a_stage_that_nobody_has_turned_to_its_zero_does_not_start(make_rig, serve):
@@ -120,4 +120,4 @@ def test_a_stage_that_nobody_has_turned_to_its_zero_does_not_start(make_rig, ser
 def test_a_stage_that_homes_is_not_remembered(bench, service, store):
     run = service.start(unit="AS-1", plan=THERE_AND_BACK)
     assert service.wait(run.id, 60).status == "completed"
-    assert store.left_at(bench.settings.name) is None
+    assert store.positions.of(bench.settings.name) is None

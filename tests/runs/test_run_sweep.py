@@ -40,14 +40,14 @@ def test_reports_that_are_late_and_a_gyro_that_is_wrong_leave_nothing_in_the_pos
     )
     service = serve(rig)
     began = begin(service, SWEEP)
-    until(lambda: store.count_poses(began.id) == 1, "the first dwell", 60)
-    told_s, told_at_s = store.run(began.id).progress.remaining_s, CLOCK.now_s()
+    until(lambda: store.poses.count(began.id) == 1, "the first dwell", 60)
+    told_s, told_at_s = store.runs.get(began.id).progress.remaining_s, CLOCK.now_s()
     run = service.wait(began.id, 120)
     assert (run.status, run.error) == ("completed", None)
     assert told_s == pytest.approx(CLOCK.now_s() - told_at_s, rel=0.1), "left after the first dwell"
     left_s = [event.data["remaining_s"] for event in events(store, run, "progress")]
     assert left_s == sorted(left_s, reverse=True)
-    poses = [stored.pose for stored in store.poses(run.id)]
+    poses = [stored.pose for stored in store.poses.of(run.id)]
     assert len(poses) == 1 + 2 * (12 + 1) == run.progress.poses_total
     assert [pose.settle_s for pose in poses].count(None) == 24
     # the package sits 0.8° off, and reads nothing else: whatever is more is the sweep's own
@@ -66,9 +66,9 @@ def test_reports_that_are_late_and_a_gyro_that_is_wrong_leave_nothing_in_the_pos
 
     assert run.result is not None and run.result.bias_deg == pytest.approx(0.8, abs=0.003)
     assert run.result.gyro.scale == pytest.approx(1 / 1.025, abs=0.001)
-    (revision,) = [one for one in store.revisions("AS-1") if one.run_id == run.id]
+    (revision,) = [one for one in store.revisions.of("AS-1") if one.run_id == run.id]
     assert revision.document["bias_deg"] == run.result.bias_deg
-    told = [event.data for event in store.events_after(run.id, limit=10_000) if event.type == "reading"]
+    told = [event.data for event in store.events.after(run.id, limit=10_000) if event.type == "reading"]
     speeds_dps = [
         abs(now["stage_deg"] - before["stage_deg"]) / (now["time_s"] - before["time_s"])
         for before, now in pairwise(told)
@@ -92,7 +92,7 @@ def test_a_motor_that_biases_the_accelerometer_ends_the_run_and_says_by_how_much
     assert "take a plan of dwells" in run.error
     ends = run.provenance["sweep"]["turning_less_standing"]
     assert min(end["p_value"] for end in ends) < 0.01
-    assert store.poses(run.id)
+    assert store.poses.of(run.id)
 
 
 def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
@@ -100,15 +100,15 @@ def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
 ) -> None:
     first = serve(bench)
     run = begin(first, SWEEP.model_copy(update={"start_deg": 30.0, "stop_deg": -30.0}))  # from above
-    until(lambda: len(store.poses(run.id)) >= 14, "a whole pass")
+    until(lambda: len(store.poses.of(run.id)) >= 14, "a whole pass")
     first.close()
-    kept = [stored.pose for stored in store.poses(run.id)]
+    kept = [stored.pose for stored in store.poses.of(run.id)]
     assert first.run(run.id).status == "interrupted"
     again = serve(bench)
     again.resume(run.id)
     ended = again.wait(run.id, 120)
     assert (ended.status, ended.error) == ("completed", None)
-    poses = [stored.pose for stored in store.poses(run.id)]
+    poses = [stored.pose for stored in store.poses.of(run.id)]
     assert len(poses) == 27 and poses[: len(kept)] == kept
     assert [pose.sweep for pose in poses] == 14 * [0] + 13 * [1]
     assert ended.result is not None and ended.result.n_poses == 27
@@ -120,13 +120,13 @@ def test_a_pass_in_which_the_board_was_reset_is_turned_anew(
     rig = make_rig(time_scale=1.0, imu=QUIET)
     service = serve(rig)
     run = begin(service, SWEEP)
-    until(lambda: len(store.poses(run.id)) == 1 and rig.moves(), "the first pass", 60)
+    until(lambda: len(store.poses.of(run.id)) == 1 and rig.moves(), "the first pass", 60)
     until(lambda: rig.table_deg(rig.now_s) > 0, "its middle", 60)
     rig.simulated.board.reset()
     ended = service.wait(run.id, 120)
     assert (ended.status, ended.error) == ("completed", None)
     assert (ended.faults["board_reset"], ended.faults["retried_pose"]) == (1, 1)
-    errors = [stored.pose.reading_deg - stored.pose.theta_deg - 0.8 for stored in store.poses(run.id)]
+    errors = [stored.pose.reading_deg - stored.pose.theta_deg - 0.8 for stored in store.poses.of(run.id)]
     assert np.abs(errors).max() < 0.02
 
 
@@ -136,15 +136,15 @@ def test_a_sweep_ends_after_the_pass_that_is_good_enough_and_pauses_between_pass
     service = serve(bench)
     chosen = SWEEP.model_copy(update={"sweeps": 6, "until": Plan(until={"bias_std_deg": 0.004}).until})
     run = begin(service, Plan.model_validate(chosen.model_dump()))
-    until(lambda: len(store.poses(run.id)) >= 1, "the first dwell")
+    until(lambda: len(store.poses.of(run.id)) >= 1, "the first dwell")
     service.pause(run.id)
     until(lambda: service.run(run.id).status == "paused", "pause", 60)
-    assert len(store.poses(run.id)) in (1, 14)
+    assert len(store.poses.of(run.id)) in (1, 14)
     service.resume(run.id)
     ended = service.wait(run.id, 120)
     assert ended.status == "completed" and ended.result is not None
     assert ended.result.stopped_by == "until" and ended.result.bias_std_deg <= 0.004
-    assert len(store.poses(run.id)) in (27, 40)
+    assert len(store.poses.of(run.id)) in (27, 40)
     assert states(store, run).count("paused") == 1
 
 
@@ -177,7 +177,7 @@ def stall(rig: TruthRig, monkeypatch: pytest.MonkeyPatch, every_s: float = math.
 
 def in_the_midst_of_a_pass(rig: TruthRig, store: Store, run: Run, n_poses: int) -> None:
     """Until so many poses are stored and the table is about half-way to the other end."""
-    until(lambda: len(store.poses(run.id)) >= n_poses and rig.moves(), "pass", 120)
+    until(lambda: len(store.poses.of(run.id)) >= n_poses and rig.moves(), "pass", 120)
     until(lambda: abs(rig.table_deg(rig.now_s)) < 3, "its middle", 60)
 
 
@@ -192,7 +192,7 @@ def test_a_pass_in_which_the_rig_stood_for_a_moment_is_turned_anew(
     ended = service.wait(run.id, 300)
     assert (ended.status, ended.error) == ("completed", None)
     assert ended.faults["retried_pose"] == 1
-    poses = [stored.pose for stored in store.poses(run.id)]
+    poses = [stored.pose for stored in store.poses.of(run.id)]
     assert len(poses) == 15
     assert np.abs([pose.reading_deg - pose.theta_deg - 0.8 for pose in poses]).max() < 0.02
     assert ended.result is not None and ended.result.lost_says is None
@@ -210,7 +210,7 @@ def test_passes_that_are_never_even_end_the_run_with_those_before_if_both_senses
     stall(rig, monkeypatch, every_s=4.0)
     ended = service.wait(run.id, 300)
     assert ended.faults["retried_pose"] >= 3
-    assert len(store.poses(run.id)) == n_whole
+    assert len(store.poses.of(run.id)) == n_whole
     if good == 1:
         assert ended.status == "failed"
         assert "3 times over" in (ended.error or "") and "does not turn evenly" in (ended.error or "")

@@ -28,7 +28,7 @@ def test_a_run_ends_once_it_is_good_enough_and_everything_follows_from_the_same_
 ) -> None:
     first = serve(bench)
     run = begin(first, PLAN)
-    until(lambda: len(store.poses(run.id)) >= 3, "3 poses")
+    until(lambda: len(store.poses.of(run.id)) >= 3, "3 poses")
     first.close()
     again = serve(bench)
     again.resume(run.id)
@@ -38,8 +38,8 @@ def test_a_run_ends_once_it_is_good_enough_and_everything_follows_from_the_same_
     assert result is not None and result.stopped_by == "until"
     assert 9 <= result.n_poses < 36
     assert ended.progress.fraction == 1.0 and ended.progress.remaining_s == 0.0
-    assert ended.progress.poses_total == len(store.poses(run.id)) == result.n_poses
-    (revision,) = [one for one in store.revisions("AS-1") if one.run_id == run.id]
+    assert ended.progress.poses_total == len(store.poses.of(run.id)) == result.n_poses
+    (revision,) = [one for one in store.revisions.of("AS-1") if one.run_id == run.id]
     stated_deg = revision.document["expanded_uncertainty_deg"]
     assert stated_deg == result.over_range.expanded_uncertainty_deg <= 0.55
     assert revision.document["covariance"][0][0] ** 0.5 == pytest.approx(result.bias_std_deg)

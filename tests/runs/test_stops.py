@@ -119,11 +119,11 @@ def test_a_run_whose_pose_waits_for_a_locked_store_hears_a_stop_at_once(tmp_path
         closing(sqlite3.connect(path, isolation_level=None)) as somebody,
     ):
         run = begin(service, ENDLESS)
-        wait_for(lambda: store.count_poses(run.id) >= 1, "pose")
+        wait_for(lambda: store.poses.count(run.id) >= 1, "pose")
         somebody.execute("BEGIN IMMEDIATE")
         wait_for(store._database._writes.locked, "write that waits")
         assert service.abort(run.id).status == "aborted"
-        assert store.run(run.id).status == "running", "it cannot be told yet"
+        assert store.runs.get(run.id).status == "running", "it cannot be told yet"
         somebody.execute("ROLLBACK")
         assert service.wait(run.id, 20).status == "aborted"
 

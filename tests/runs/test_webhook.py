@@ -70,8 +70,8 @@ def settings(listener: Listener, tmp_path: Path) -> WebhookSettings:
 
 
 def ended_run(store: Store, unit: str, status: Any = "failed") -> str:
-    run = store.create_run(unit=unit, rig="bench-1", plan={}, status="running", provenance={})
-    store.update_run(run.id, status=status, error="the stage did not answer")
+    run = store.runs.create(unit=unit, rig="bench-1", plan={}, status="running", provenance={})
+    store.runs.update(run.id, status=status, error="the stage did not answer")
     return run.id
 
 
@@ -82,17 +82,17 @@ def test_an_end_is_told_once_signed_and_tried_again_until_it_is_heard(
     with closing(RunService(own_store, [])) as service:
         hook = Webhook(service, settings, now=lambda: now[0])
         hook._hear(run_id := ended_run(own_store, "W-1"))
-        hook._hear(own_store.create_run(unit="W-2", rig="r", plan={}, status="queued", provenance={}).id)
+        hook._hear(own_store.runs.create(unit="W-2", rig="r", plan={}, status="queued", provenance={}).id)
         hook.note()
         listener.status = 307
         hook.deliver()
         assert 0 < hook.deliver() <= 1.0, "not before it is due"
         waits_s = []
         for _ in range(3):
-            now[0] = own_store.next_delivery().due_at
+            now[0] = own_store.deliveries.next().due_at
             before = now[0]
             hook.deliver()
-            waits_s.append((own_store.next_delivery().due_at - before).total_seconds())
+            waits_s.append((own_store.deliveries.next().due_at - before).total_seconds())
         assert waits_s == [30, 120, 600]
         assert service.meter.registry.get_sample_value("calrig_webhook_failures_total") == 4
         assert service.meter.registry.get_sample_value("calrig_webhook_waiting") == 1
@@ -102,7 +102,7 @@ def test_an_end_is_told_once_signed_and_tried_again_until_it_is_heard(
         again = Webhook(service, settings, now=lambda: now[0])
         now[0] += timedelta(seconds=600)
         again.deliver()
-        assert own_store.next_delivery() is None
+        assert own_store.deliveries.next() is None
         again._hear(run_id)
         again.note()
         again.deliver()

@@ -47,7 +47,7 @@ def new_run(store: Store) -> Callable[..., Run]:
     """Makes a running run of unit A on rig bench; any argument can be given."""
 
     def make(**given: Any) -> Run:
-        return store.create_run(
+        return store.runs.create(
             **{"unit": "A", "rig": "bench", "plan": None, "status": "running", "provenance": {}, **given}
         )
 

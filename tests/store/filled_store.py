@@ -23,11 +23,11 @@ def filled(url: str, result: dict[str, Any] | None = None, poses: int = 20) -> s
     """A run with poses, samples and events; its id."""
     lay_empty_store(Path(url.removeprefix("sqlite:///")))
     with Store.open(url, writer="test") as store:
-        run = store.create_run(unit="A", rig="r", plan={"step_deg": 5}, status="running", provenance={})
+        run = store.runs.create(unit="A", rig="r", plan={"step_deg": 5}, status="running", provenance={})
         for k in range(poses):
             pose = Pose(float(k), k + 0.1 * (k % 3), temperature_c=20 + k / 7, covariates={"humidity": k / 3})
             event = ("pose", {"index": k, "reading_deg": k / 7})
             done = {"poses_done": k + 1, "poses_total": poses, "fraction": k / poses, "remaining_s": None}
-            store.add_pose(run.id, k, pose, [block(k)], [event], progress=done)
-        store.update_run(run.id, status="completed", result=result)
+            store.poses.add(run.id, k, pose, [block(k)], [event], progress=done)
+        store.runs.update(run.id, status="completed", result=result)
     return run.id

@@ -53,43 +53,43 @@ def fill(path: Path) -> str:
         _measure(store)
         with closing(RunService(store, [])) as service, serving(service) as client:
             _amend(client)
-        store.name_check_unit("r", "A-3", 7.0, who="ada")
-        batch = store.keep_batch({"rigs": ["r"], "plan": {"dwell_s": 0.1}, "note": "Ä"}, ["A-1", "Ä-2"])
-        store.write_turns(batch.id, batch.turns, [replace(batch.turns[0], state="done", why="größer")])
-        store.note_end(store.runs(status="completed")[0][0].id, datetime.now(UTC))
-        store.say_item(
+        store.check_standards.name("r", "A-3", 7.0, who="ada")
+        batch = store.batches.create({"rigs": ["r"], "plan": {"dwell_s": 0.1}, "note": "Ä"}, ["A-1", "Ä-2"])
+        store.batches.update(batch.id, batch.turns, [replace(batch.turns[0], state="done", why="größer")])
+        store.deliveries.record_end(store.runs.page(status="completed")[0][0].id, datetime.now(UTC))
+        store.items.add(
             "A-3", CalibrationItem(customer="山田 & Søn", condition="neu", supplied=("customer",)), who="ada"
         )
-        solution = store.keep_solution(SOLVED, by="ada")
-        store.put_stage_map("r", solution.id, SOLVED.stage_map, who="ada")
-        store.keep_study("noise", "Prüfling 7.csv", {"report": {}, "figures": [1e-300]}, who="ada")
-        store.add_user("proxied", "viewer", with_token=False)
-        _, token = store.add_user("ada", "admin")
+        solution = store.solutions.save(SOLVED, by="ada")
+        store.stage_maps.put_in_force("r", solution.id, SOLVED.stage_map, who="ada")
+        store.studies.save("noise", "Prüfling 7.csv", {"report": {}, "figures": [1e-300]}, who="ada")
+        store.users.add("proxied", "viewer", with_token=False)
+        _, token = store.users.add("ada", "admin")
     assert token is not None
     return token
 
 
 def _measure(store: Store) -> None:
     """A run with samples, one that failed with transcripts, a static log, and where a stage was left."""
-    run = store.create_run(unit="Ä-1", rig="r", plan={"step_deg": 5}, status="running", provenance={})
+    run = store.runs.create(unit="Ä-1", rig="r", plan={"step_deg": 5}, status="running", provenance={})
     for k in range(30):
         pose = Pose(float(k), k + 0.1 * (k % 3), temperature_c=20 + k / 7, covariates={"humidity": k / 3})
         done = {"poses_done": k + 1, "poses_total": 30, "fraction": (k + 1) / 30, "remaining_s": None}
         event = ("pose", {"index": k, "reading_deg": -0.0, "large": 2**63 - 1, "text": "a\0b"})
-        store.add_pose(run.id, k, pose, [block(k)], [event], progress=done)
-    store.update_run(run.id, status="completed")
-    failed = store.create_run(unit="Ä-1", rig="r", plan=None, status="running", provenance={})
-    store.keep_transcripts(failed.id, {"/dev/ttyUSB0": "1TP\r\n1TP?", "/dev/ttyACM0": ""})
-    store.update_run(failed.id, status="failed", error="the stage did not answer")
-    static = store.create_run(unit="a-1", rig="r", plan={"kind": "static"}, status="running", provenance={})
-    store.add_samples(static.id, [block(0, 2000), block(0, 1)], faults={"crc": 2})
-    store.update_run(static.id, status="completed")
+        store.poses.add(run.id, k, pose, [block(k)], [event], progress=done)
+    store.runs.update(run.id, status="completed")
+    failed = store.runs.create(unit="Ä-1", rig="r", plan=None, status="running", provenance={})
+    store.events.save_transcripts(failed.id, {"/dev/ttyUSB0": "1TP\r\n1TP?", "/dev/ttyACM0": ""})
+    store.runs.update(failed.id, status="failed", error="the stage did not answer")
+    static = store.runs.create(unit="a-1", rig="r", plan={"kind": "static"}, status="running", provenance={})
+    store.samples.add(static.id, [block(0, 2000), block(0, 1)], faults={"crc": 2})
+    store.runs.update(static.id, status="completed")
     tilt = AcceptedEffect(
         run.id, "Ä-1", None, "axis_tilt", "mounting", {"amplitude_deg": 0.1, "phase_deg": None}
     )
-    store.accept_effects(run.id, [tilt], who="ada")
-    store.leave_at("r", -0.0)
-    store.leave_at("other", None)
+    store.effects.accept(run.id, [tilt], who="ada")
+    store.positions.save("r", -0.0)
+    store.positions.save("other", None)
 
 
 def _amend(client: httpx.Client) -> None:

@@ -69,10 +69,10 @@ def test_what_is_stored_next_is_numbered_after_what_was_moved(rich, new_database
     there = new_database()
     move_store(f"sqlite:///{rich}", there)
     with Store.open(there, writer="serve") as store:
-        run = store.create_run(unit="new", rig="r", plan=None, status="running", provenance={})
-        store.keep_transcripts(run.id, {"port": "text"})
-        assert store.broken_link() is None
-        assert store.transcripts(run.id) == {"port": "text"}
+        run = store.runs.create(unit="new", rig="r", plan=None, status="running", provenance={})
+        store.events.save_transcripts(run.id, {"port": "text"})
+        assert store.trail.broken_link() is None
+        assert store.events.transcripts(run.id) == {"port": "text"}
 
 
 def test_the_hash_of_a_table_is_that_of_its_lines(source, tmp_path, new_database):
@@ -124,7 +124,7 @@ def test_a_zero_has_no_sign_and_what_is_no_number_is_refused(tmp_path, new_datab
 def test_a_store_that_has_anything_in_it_is_not_moved_into(rich, source, new_database):
     there = new_database()
     with Store.open(there, writer="serve") as store:
-        store.leave_at("r", 1.0)
+        store.positions.save("r", 1.0)
     with pytest.raises(StoreError, match=r"is not empty .1 rows in 'stage_place'.: name an empty"):
         move_store(f"sqlite:///{rich}", there)
     assert rows_in(there) == {"stage_place": 1}
@@ -137,7 +137,7 @@ def test_a_source_in_which_runs_go_on_is_refused_and_says_whose(source, new_data
     with Store.open(url, writer="serve") as store:
         moved = move_store(url, new_database())
         assert any("`calrig serve` (process" in said for said in moved.says)
-        run = store.create_run(unit="A-2", rig="r", plan=None, status="running", provenance={})
+        run = store.runs.create(unit="A-2", rig="r", plan=None, status="running", provenance={})
         there = new_database()
         with pytest.raises(StoreError, match=rf"`calrig serve` \(process.* carries out run {run.id}: let it"):
             move_store(url, there)
@@ -149,7 +149,7 @@ def test_a_source_in_which_runs_go_on_is_refused_and_says_whose(source, new_data
 def test_a_database_in_which_runs_go_on_is_refused(tmp_path, new_database):
     there = new_database()
     with Store.open(there, writer="serve") as store:
-        run = store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
+        run = store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
         with pytest.raises(StoreError, match=rf"another calrig \(connected.* carries out run {run.id}"):
             move_store(there, f"sqlite:///{tmp_path / 'back.db'}")
     assert move_store(there, f"sqlite:///{tmp_path / 'back.db'}").says
@@ -190,7 +190,7 @@ def test_nobody_is_told_of_what_is_moved_and_everybody_of_what_comes_after(rich,
         )
     move_store(f"sqlite:///{rich}", there)
     with Store.open(there, writer="serve") as store, pytest.raises(StoreError, match="told of it"):
-        store.create_run(unit="new", rig="r", plan=None, status="running", provenance={})
+        store.runs.create(unit="new", rig="r", plan=None, status="running", provenance={})
 
 
 def test_a_target_that_is_lost_midway_has_nothing(rich, new_database):

@@ -53,18 +53,18 @@ def test_the_writer_is_not_kept_waiting_and_the_copy_is_one_instant(tmp_path):
     url = f"sqlite:///{tmp_path / 'calrig.db'}"
     copies = [tmp_path / f"{k}.db" for k in range(5)]
     with Store.open(url, writer="test", busy_timeout_s=0.5) as store:
-        run = store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
+        run = store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
         for copy in copies:
             copying = threading.Thread(target=back_up, args=(url, copy), daemon=True)
             copying.start()
             while True:
-                store.append_events(run.id, [("reading", {"half": 1}), ("reading", {"half": 2})])
+                store.events.append(run.id, [("reading", {"half": 1}), ("reading", {"half": 2})])
                 if not copying.is_alive():
                     break
     sizes = []
     for copy in copies:
         with Store.open(f"sqlite:///{copy}", writer=None) as copied:
-            sizes.append(len(copied.events_after(run.id, limit=10**6)))
+            sizes.append(len(copied.events.after(run.id, limit=10**6)))
     assert all(size % 2 == 1 for size in sizes), "the run's state, and both halves of what was appended"
     assert sizes == sorted(sizes)
     assert sizes[-1] >= 1 + 2 * (len(copies) - 1)

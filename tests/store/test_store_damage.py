@@ -22,13 +22,13 @@ from calrig.store import Store, StoreDamagedError, StoreError
 def everything(store: Store, run_id: str) -> dict[str, Any]:
     """All that can be asked of a run; where the store refuses, the refusal."""
     asked: dict[str, Callable[[], Any]] = {
-        "run": lambda: store.run(run_id),
-        "poses": lambda: store.poses(run_id),
+        "run": lambda: store.runs.get(run_id),
+        "poses": lambda: store.poses.of(run_id),
         "events": lambda: [
-            (e.seq, e.data["reading_deg"]) for e in store.events_after(run_id) if "index" in e.data
+            (e.seq, e.data["reading_deg"]) for e in store.events.after(run_id) if "index" in e.data
         ],
-        "samples": lambda: {n: v.tobytes() for n, v in vars_of(store.samples(run_id)).items()},
-        "comparison": store.comparison,
+        "samples": lambda: {n: v.tobytes() for n, v in vars_of(store.samples.of(run_id)).items()},
+        "comparison": store.units.comparison,
     }
     answers: dict[str, Any] = {}
     for name, ask in asked.items():
@@ -86,7 +86,7 @@ def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
 
 def read_samples(url: str, run_id: str, writer: str | None) -> None:
     with Store.open(url, writer=writer) as store:
-        store.samples(run_id)
+        store.samples.of(run_id)
 
 
 @pytest.mark.parametrize("writer", ["serve", None])
@@ -112,7 +112,7 @@ DIE = """
 import os, signal, sys
 from calrig.store import Store
 store = Store.open(sys.argv[1], writer="run")
-store.create_run(unit="B", rig="bench", plan=None, status="running", provenance={})
+store.runs.create(unit="B", rig="bench", plan=None, status="running", provenance={})
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -144,9 +144,9 @@ def test_poses_and_events_that_vanished_are_missed(url, database):
         connection.commit()
     with Store.open(url, writer=None) as store:
         with pytest.raises(StoreDamagedError, match=f"1 poses of run {run_id} are missing"):
-            store.poses(run_id)
+            store.poses.of(run_id)
         with pytest.raises(StoreDamagedError, match=f"event 3 of run {run_id} is missing"):
-            store.events_after(run_id)
+            store.events.after(run_id)
 
 
 def test_a_reading_whose_digit_has_changed_is_noticed(url, database):
@@ -158,4 +158,4 @@ def test_a_reading_whose_digit_has_changed_is_noticed(url, database):
         Store.open(url, writer=None) as store,
         pytest.raises(StoreDamagedError, match=f"pose 2 of run {run_id} is not what was stored"),
     ):
-        store.poses(run_id)
+        store.poses.of(run_id)

@@ -30,7 +30,7 @@ def modes(folder: Path) -> dict[str, str]:
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o277], ids=oct)
 def test_a_new_store_and_all_beside_it_are_for_its_owner_alone(url, tmp_path, monkeypatch, mask):
     with umask(mask), Store.open(url, writer="test") as store:
-        store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
+        store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
         back_up(url, tmp_path / "copy.db")
         open_now = modes(tmp_path)
     assert open_now == dict.fromkeys(
@@ -49,7 +49,7 @@ def test_a_store_that_is_shared_on_purpose_stays_so_and_its_copies_are_not(url, 
     (tmp_path / "calrig.db.lock").unlink()
     database.chmod(0o660)
     with Store.open(url, writer="test") as store:
-        store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
+        store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
         back_up(url, tmp_path / "copy.db")
         shared = dict.fromkeys(["calrig.db", "calrig.db-wal", "calrig.db-shm", "calrig.db.lock"], "0o660")
         assert modes(tmp_path) == {**shared, "copy.db": "0o600"}

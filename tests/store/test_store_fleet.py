@@ -41,15 +41,15 @@ def completed(new_run: NewRun, n: int = 12, seed: int = 0, **given: object) -> R
 
 
 def listed(store: Store) -> list[fleet.ListedRun]:
-    return [run for part in store.completed_runs() for run in part]
+    return [run for part in store.fleet.completed_runs() for run in part]
 
 
 def test_completed_runs_that_count_are_listed_with_what_was_found_in_them(store, new_run):
     plain, found, voided = (completed(new_run, unit=unit) for unit in "ABC")
     new_run(poses=poses(3))
     new_run(status="completed", plan={"kind": "static"})
-    store.update_run(found.id, diagnosis={"verdict": "named", "effects": []})
-    store.void_run(voided.id, "bumped")
+    store.runs.update(found.id, diagnosis={"verdict": "named", "effects": []})
+    store.amendments.void(voided.id, "bumped")
     runs = listed(store)
     assert [(run.id, run.unit, run.rig, run.verdict, run.n_poses) for run in runs] == [
         (plain.id, "A", "bench", None, 12),
@@ -67,14 +67,14 @@ def test_packed_poses_are_those_of_each_run_by_itself(store, new_run, monkeypatc
     runs = [completed(new_run, n, seed) for seed, n in enumerate([12, 9, 30, 1])]
     new_run(poses=poses(5))  # goes on, among the others
     runs.append(completed(new_run, 8, 7))
-    store.exclude_pose(runs[1].id, 4, "bumped", result=None)
-    pieces = list(store.packed_poses(listed(store), with_gyro=with_gyro))
+    store.amendments.exclude_pose(runs[1].id, 4, "bumped", result=None)
+    pieces = list(store.fleet.packed_poses(listed(store), with_gyro=with_gyro))
     left_out = set() if with_gyro else set(GYRO_MEANS)
     assert [run for piece in pieces for run in piece.run_ids] == [run.id for run in runs]
     assert len(pieces) > 1 or at_once > 60
     for piece in pieces:
         for k, run_id in enumerate(piece.run_ids):
-            counted = [stored.pose for stored in store.poses(run_id, include_excluded=False)]
+            counted = [stored.pose for stored in store.poses.of(run_id, include_excluded=False)]
             expected = packed({run_id: counted}).columns
             found = piece.runs(np.array([k])).columns
             assert not left_out & set(found)
@@ -88,17 +88,17 @@ def test_a_pose_that_changed_or_is_missing_is_said(store, new_run, database):
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.execute("UPDATE pose SET reading_deg = reading_deg + 1e-9 WHERE pose_index = 7")
     with pytest.raises(StoreDamagedError, match=f"pose 7 of run {run.id} is not what was stored"):
-        list(store.packed_poses(listed(store)))
+        list(store.fleet.packed_poses(listed(store)))
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.execute("DELETE FROM pose WHERE pose_index = 7")
     with pytest.raises(StoreDamagedError, match=f"1 poses of run {run.id} are missing"):
-        list(store.packed_poses(listed(store)))
+        list(store.fleet.packed_poses(listed(store)))
 
 
 def test_the_last_finding_of_a_run_is_kept(store):
-    store.keep_finding("x", "0" * 64, "a" * 64, None, "too few poses")
-    assert store.findings() == {"x": Finding("0" * 64, "a" * 64, None)}
-    store.keep_finding("x", "1" * 64, "b" * 64, {"verdict": "named", "effects": []})
-    assert store.findings() == {"x": Finding("1" * 64, "b" * 64, "named")}
-    assert store.finding_document("x") == {"verdict": "named", "effects": []}
-    assert store.finding_document("y") is None
+    store.findings.save("x", "0" * 64, "a" * 64, None, "too few poses")
+    assert store.findings.all() == {"x": Finding("0" * 64, "a" * 64, None)}
+    store.findings.save("x", "1" * 64, "b" * 64, {"verdict": "named", "effects": []})
+    assert store.findings.all() == {"x": Finding("1" * 64, "b" * 64, "named")}
+    assert store.findings.document("x") == {"verdict": "named", "effects": []}
+    assert store.findings.document("y") is None

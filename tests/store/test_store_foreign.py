@@ -30,7 +30,7 @@ def plant(database: Path, statement: str) -> bytes:
 @pytest.fixture
 def sound(url: str) -> None:
     with Store.open(url, writer="test") as store:
-        store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
+        store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
 
 
 @pytest.mark.usefixtures("sound")

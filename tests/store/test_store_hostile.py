@@ -126,14 +126,14 @@ def test_what_was_planted_is_read_or_said_to_be_damaged(sound, tmp_path, table, 
 
 def look_at_everything(store: Store, run_id: str, planted: str) -> None:
     asked = {
-        "run": lambda: store.run(run_id),
-        "runs": store.runs,
-        "unit": lambda: store.unit("A"),
-        "poses": lambda: store.poses(run_id),
-        "events": lambda: store.events_after(run_id),
-        "samples": lambda: store.samples(run_id),
-        "blocks": lambda: list(store.sample_blocks(run_id)),
-        "comparison": store.comparison,
+        "run": lambda: store.runs.get(run_id),
+        "runs": store.runs.page,
+        "unit": lambda: store.units.get("A"),
+        "poses": lambda: store.poses.of(run_id),
+        "events": lambda: store.events.after(run_id),
+        "samples": lambda: store.samples.of(run_id),
+        "blocks": lambda: list(store.samples.blocks_of(run_id)),
+        "comparison": store.units.comparison,
     }
     for name, ask in asked.items():
         try:

@@ -9,25 +9,25 @@ ALL = Limit("all", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01))
 
 
 def test_limits_come_back_in_their_order(store):
-    store.replace_limits([FLIGHT, ALL], who="ada")
-    assert store.limits() == [FLIGHT, ALL]
-    store.replace_limits([ALL, FLIGHT], who="ben")
-    assert store.limits() == [ALL, FLIGHT]
+    store.limits.replace([FLIGHT, ALL], who="ada")
+    assert store.limits.all() == [FLIGHT, ALL]
+    store.limits.replace([ALL, FLIGHT], who="ben")
+    assert store.limits.all() == [ALL, FLIGHT]
 
 
 def test_the_trail_says_who_changed_which_and_nothing_where_nothing_changed(store):
-    store.replace_limits([FLIGHT], who="ada")
-    store.replace_limits([FLIGHT], who="ben")
-    (entry,) = store.trail(what=["limits_changed"])
+    store.limits.replace([FLIGHT], who="ada")
+    store.limits.replace([FLIGHT], who="ben")
+    (entry,) = store.trail.entries(what=["limits_changed"])
     assert (entry.act.who, entry.act.detail) == ("ada", {"before": [], "now": [FLIGHT.to_dict()]})
-    assert store.broken_link() is None
+    assert store.trail.broken_link() is None
 
 
 def test_a_run_with_a_result_has_the_limit_that_matches_its_unit_now(store, new_run, result):
-    store.replace_limits([FLIGHT, ALL], who=None)
+    store.limits.replace([FLIGHT, ALL], who=None)
     ended = new_run(unit="AS-1", status="completed", result=result)
     assert (ended.limit, new_run(unit="AS-1").limit) == (FLIGHT, None)
     assert new_run(unit="B", status="completed", result=result).limit == ALL
-    store.replace_limits([], who=None)
-    runs, _ = store.runs()
+    store.limits.replace([], who=None)
+    runs, _ = store.runs.page()
     assert [run.limit for run in runs] == [None] * 3

@@ -45,7 +45,7 @@ def later_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str = "
 @pytest.fixture
 def filled(url: str) -> str:
     with Store.open(url, writer="serve") as store:
-        return store.create_run(unit="A", rig="r", plan=None, status="completed", provenance={}).id
+        return store.runs.create(unit="A", rig="r", plan=None, status="completed", provenance={}).id
 
 
 def test_migrations_and_tables_say_the_same(store, database):
@@ -77,7 +77,7 @@ def test_an_older_database_is_brought_up_to_date_after_a_copy_is_kept(
     with pytest.raises(StoreError, match=r"older calrig.*run `calrig serve` once"):
         Store.open(url, writer=None)
     with Store.open(url, writer="serve") as store:
-        assert store.run(filled).unit == "A"
+        assert store.runs.get(filled).unit == "A"
 
     assert stored_revision(database) == revision
     with closing(sqlite3.connect(database)) as connection:
@@ -136,12 +136,12 @@ def test_a_newer_database_is_refused_untouched_with_what_to_do(filled, url, data
 def test_a_store_of_every_earlier_revision_is_brought_up_to_date(url, database, revision):
     make_as_of(database, revision)
     with Store.open(url, writer="serve") as store:
-        (pose,) = store.poses("1")
+        (pose,) = store.poses.of("1")
         assert (pose.index, pose.pose.reading_deg, pose.pose.covariates) == (0, 10.25, {"humidity": 0.4})
-        assert store.run("1").result.bias_deg == 0.25
-        (row,) = store.comparison()
+        assert store.runs.get("1").result.bias_deg == 0.25
+        (row,) = store.units.comparison()
         assert (row.unit, row.result["bias_deg"]) == ("A", 0.25)
-        assert [(event.seq, event.type) for event in store.events_after("1")] == [(1, "state")]
+        assert [(event.seq, event.type) for event in store.events.after("1")] == [(1, "state")]
     assert stored_revision(database) == revisions.revisions()[-1]
     copy = database.with_name(f"calrig.db.before-{revisions.revisions()[-1]}.bak")
     assert stored_revision(copy) == revision
@@ -153,16 +153,16 @@ def test_the_trail_of_a_store_of_counted_runs_stays_whole_and_goes_on(url, datab
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.executemany(f"INSERT INTO trail VALUES ({', '.join('?' * 11)})", COUNTED)
     with Store.open(url, writer="serve") as store:
-        assert store.broken_link() is None
-        store.void_run("1", "slipped again")
-        run = store.create_run(unit="A", rig="r", plan={}, status="queued", provenance={}, follows="1")
-        assert [entry.act.run_id for entry in store.trail()] == ["1", None, "1", "1", run.id]
+        assert store.trail.broken_link() is None
+        store.amendments.void("1", "slipped again")
+        run = store.runs.create(unit="A", rig="r", plan={}, status="queued", provenance={}, follows="1")
+        assert [entry.act.run_id for entry in store.trail.entries()] == ["1", None, "1", "1", run.id]
         assert run.follows == "1"
-        assert store.broken_link() is None
+        assert store.trail.broken_link() is None
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.execute("UPDATE trail SET run_id = '01' WHERE seq = 3")
     with Store.open(url, writer=None) as store:
-        assert store.broken_link() == 3
+        assert store.trail.broken_link() == 3
 
 
 COUNTED = [

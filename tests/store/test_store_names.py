@@ -32,16 +32,16 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("name", NAMES)
 def test_any_name_opens_exactly_that_file(here, name):
     with Store.open(store_url(name), writer="test") as store:
-        run = store.create_run(unit="A", rig="r", plan=None, status="completed", provenance={})
+        run = store.runs.create(unit="A", rig="r", plan=None, status="completed", provenance={})
         assert {p.name for p in here.iterdir()} == {
             name,
             *(f"{name}{end}" for end in ("-wal", "-shm", ".lock")),
         }
     with Store.open(store_url(str(here / name)), writer=None) as store:
-        assert store.run(run.id).unit == "A"
+        assert store.runs.get(run.id).unit == "A"
     assert back_up(store_url(name), here / f"copy of {name}").runs == 1
     with Store.open(store_url(f"copy of {name}"), writer=None) as store:
-        assert store.run(run.id).unit == "A"
+        assert store.runs.get(run.id).unit == "A"
 
 
 def test_a_folder_may_be_called_anything_too(here):

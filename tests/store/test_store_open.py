@@ -47,7 +47,7 @@ def test_a_second_writer_is_told_who_holds_the_store_and_a_reader_is_not_kept_ou
         with pytest.raises(StoreError, match=rf"calrig serve.*process {holder.pid} on .*one writer"):
             Store.open(url, writer="import")
         with Store.open(url, writer=None) as reader:
-            assert reader.runs() == ([], None)
+            assert reader.runs.page() == ([], None)
 
         holder.kill()  # a lock dies with its holder
         holder.wait()
@@ -61,11 +61,11 @@ import numpy as np
 from calrig.calibration.poses import Pose
 from calrig.store import SampleBlock, Store
 store = Store.open(sys.argv[1], writer="run")
-run = store.create_run(unit="A", rig="bench", plan=None, status="running", provenance={})
+run = store.runs.create(unit="A", rig="bench", plan=None, status="running", provenance={})
 for k in range(100_000):
     n = 50
     block = SampleBlock(k, "dwell", np.arange(n) / 200, np.ones((n, 3)), np.ones((n, 3)), np.full(n, 24.0))
-    seq, = store.add_pose(run.id, k, Pose(float(k), float(k)), [block], [("pose", {"index": k})])
+    seq, = store.poses.add(run.id, k, Pose(float(k), float(k)), [block], [("pose", {"index": k})])
     print(k, seq, flush=True)
 """
 
@@ -78,13 +78,13 @@ def test_what_was_announced_survives_the_death_of_the_writer(url):
         announced = [20, *(int(line.split()[0]) + 1 for line in writer.stdout if line.endswith("\n"))][-1]
 
     with Store.open(url, writer="serve") as store:
-        (run,) = store.runs()[0]
-        poses = store.poses(run.id)
+        (run,) = store.runs.page()[0]
+        poses = store.poses.of(run.id)
         assert len(poses) >= announced
         assert [p.index for p in poses] == list(range(len(poses)))
-        assert [e.seq for e in store.events_after(run.id, limit=10**6)] == list(range(1, len(poses) + 2))
-        assert len(store.samples(run.id)) == 50 * len(poses), "a pose has its samples"
-        assert [left.id for left in store.unfinished()] == [run.id]
+        assert [e.seq for e in store.events.after(run.id, limit=10**6)] == list(range(1, len(poses) + 2))
+        assert len(store.samples.of(run.id)) == 50 * len(poses), "a pose has its samples"
+        assert [left.id for left in store.runs.unfinished()] == [run.id]
 
 
 def test_threads_share_a_store(store, new_run):
@@ -93,13 +93,13 @@ def test_threads_share_a_store(store, new_run):
 
     def write(run_id: str) -> None:
         for k in range(12):
-            store.append_events(run_id, [("reading", {"k": k}), ("reading", {"k": k + 0.5})])
+            store.events.append(run_id, [("reading", {"k": k}), ("reading", {"k": k + 0.5})])
 
     def read() -> int:
         looks = 0
         while not written.is_set() or not looks:
             for run in runs:
-                seqs = [event.seq for event in store.events_after(run.id)]
+                seqs = [event.seq for event in store.events.after(run.id)]
                 assert seqs == list(range(1, len(seqs) + 1)), "a gap"
                 assert len(seqs) % 2 == 1, "half of what one call appended"
             looks += 1
@@ -114,12 +114,12 @@ def test_threads_share_a_store(store, new_run):
         assert all(job.result() > 0 for job in readers)
 
     for run in runs:
-        assert [event.seq for event in store.events_after(run.id)] == list(range(1, 50))
+        assert [event.seq for event in store.events.after(run.id)] == list(range(1, 50))
 
 
 def test_a_store_opened_for_reading_writes_nothing(store, url):
     with Store.open(url, writer=None) as reader, pytest.raises(StoreError, match="reading only"):
-        reader.create_run(unit="A", rig="r", plan=None, status="queued", provenance={})
+        reader.runs.create(unit="A", rig="r", plan=None, status="queued", provenance={})
 
 
 def test_an_absent_database_is_not_made_by_a_reader(database, url):
@@ -184,12 +184,12 @@ def test_a_lock_that_another_program_keeps_is_said(url, database):
         closing(sqlite3.connect(database, isolation_level=None)) as other,
         Store.open(url, writer="serve", busy_timeout_s=0.05) as store,
     ):
-        run = store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
+        run = store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(StoreError, match="another program keeps it locked"):
-            store.update_run(run.id, status="paused")
+            store.runs.update(run.id, status="paused")
         other.execute("ROLLBACK")
-        assert store.update_run(run.id, status="paused").status == "paused"
+        assert store.runs.update(run.id, status="paused").status == "paused"
 
 
 def test_a_full_disk_is_said_with_what_to_do(database):

@@ -12,11 +12,11 @@ SERIALS = ["B", "a-1", "A 2", "Ä-1", "A-1", "_1", "a1", "z", "é", "温度", "1
 
 def test_names_come_in_the_order_of_their_bytes(store: Store) -> None:
     for serial in SERIALS:
-        store.create_run(unit=serial, rig=serial, plan=None, status="completed", provenance={})
-        store.name_check_unit(serial, serial, 7.0)
+        store.runs.create(unit=serial, rig=serial, plan=None, status="completed", provenance={})
+        store.check_standards.name(serial, serial, 7.0)
     in_order = sorted(SERIALS, key=str.encode)
-    assert [unit.serial for unit in store.units()] == in_order
-    assert [check.rig for check in store.check_units()] == in_order
+    assert [unit.serial for unit in store.units.all()] == in_order
+    assert [check.rig for check in store.check_standards.all()] == in_order
 
 
 def test_no_text_is_ordered_by_a_language(new_database) -> None:

@@ -66,13 +66,13 @@ def test_a_run_stores_its_poses_while_an_import_is_read(store, new_run):
     others = []
 
     def measured():
-        store.add_pose(run.id, len(others), replace(FULL, target_deg=float(len(others))))
+        store.poses.add(run.id, len(others), replace(FULL, target_deg=float(len(others))))
         others.append(run.id)
 
     poses = [replace(FULL, target_deg=0.01 * k) for k in range(2500)]
     made = new_run(unit="B", status="completed", poses=Rows(poses, measured))
-    assert [(stored.index, stored.pose) for stored in store.poses(made.id)] == list(enumerate(poses))
-    assert [stored.index for stored in store.poses(run.id)] == list(range(len(others))) != []
+    assert [(stored.index, stored.pose) for stored in store.poses.of(made.id)] == list(enumerate(poses))
+    assert [stored.index for stored in store.poses.of(run.id)] == list(range(len(others))) != []
 
 
 def test_an_import_that_breaks_off_stores_nothing(store, new_run):
@@ -85,16 +85,16 @@ def test_an_import_that_breaks_off_stores_nothing(store, new_run):
 
     with pytest.raises(KeyboardInterrupt):
         new_run(unit="B", status="completed", poses=Rows([FULL] * 2500, break_off))
-    assert store.runs() == ([], None)
+    assert store.runs.page() == ([], None)
     made = new_run(unit="B", status="completed", poses=[FULL])
-    assert [stored.pose for stored in store.poses(made.id)] == [FULL]
+    assert [stored.pose for stored in store.poses.of(made.id)] == [FULL]
 
 
 def test_a_pose_comes_back_exactly(store, new_run):
     run = new_run()
-    store.add_pose(run.id, 0, FULL)
-    store.add_pose(run.id, 1, Pose(10.0, 9.9))
-    assert [p.pose for p in store.poses(run.id)] == [FULL, Pose(10.0, 9.9)]
+    store.poses.add(run.id, 0, FULL)
+    store.poses.add(run.id, 1, Pose(10.0, 9.9))
+    assert [p.pose for p in store.poses.of(run.id)] == [FULL, Pose(10.0, 9.9)]
 
 
 def test_a_pose_is_stored_with_its_events_and_samples_or_not_at_all(store, new_run):
@@ -102,35 +102,35 @@ def test_a_pose_is_stored_with_its_events_and_samples_or_not_at_all(store, new_r
     progress = {"poses_done": 1, "poses_total": 2, "fraction": 0.5, "remaining_s": 3.0}
     events = [("pose", {"index": 0, **FULL.row()}), ("progress", progress)]
     blocks = [block(0, "move"), block(0, "dwell")]
-    assert store.add_pose(run.id, 0, FULL, blocks, events, progress=progress, faults={"crc": 1}) == [2, 3]
-    assert (store.run(run.id).progress, store.run(run.id).faults) == (
+    assert store.poses.add(run.id, 0, FULL, blocks, events, progress=progress, faults={"crc": 1}) == [2, 3]
+    assert (store.runs.get(run.id).progress, store.runs.get(run.id).faults) == (
         Progress.model_validate(progress),
         {"crc": 1},
     )
 
     with pytest.raises(StoreError, match=r"(?i)unique"):
-        store.add_pose(run.id, 0, FULL, [block(0, "dwell")], events, faults={"crc": 9})
+        store.poses.add(run.id, 0, FULL, [block(0, "dwell")], events, faults={"crc": 9})
 
-    assert len(store.events_after(run.id)) == 3
-    assert len(store.samples(run.id)) == 6
-    assert store.run(run.id).faults == {"crc": 1}
+    assert len(store.events.after(run.id)) == 3
+    assert len(store.samples.of(run.id)) == 6
+    assert store.runs.get(run.id).faults == {"crc": 1}
 
 
 def test_an_excluded_pose_is_kept_and_changes_the_result_with_it(store, new_run, result):
     run = new_run(status="completed", poses=[Pose(float(k), 0.0) for k in range(3)], result=result)
     without = {**result, "bias_deg": 0.5}
 
-    changed = store.exclude_pose(run.id, 1, "somebody leaned on the bench", result=without)
+    changed = store.amendments.exclude_pose(run.id, 1, "somebody leaned on the bench", result=without)
 
-    assert changed == store.run(run.id)
+    assert changed == store.runs.get(run.id)
     assert changed.result == Result.model_validate(without)
-    assert [row.result["bias_deg"] for row in store.comparison()] == [0.5]
-    assert [p.excluded for p in store.poses(run.id)] == [None, "somebody leaned on the bench", None]
-    assert [p.index for p in store.poses(run.id, include_excluded=False)] == [0, 2]
+    assert [row.result["bias_deg"] for row in store.units.comparison()] == [0.5]
+    assert [p.excluded for p in store.poses.of(run.id)] == [None, "somebody leaned on the bench", None]
+    assert [p.index for p in store.poses.of(run.id, include_excluded=False)] == [0, 2]
     for index in (-1, 3, 2**70):
         with pytest.raises(NotFound, match=f"no pose {index}"):
-            store.exclude_pose(run.id, index, "", result=None)
-    assert store.run(run.id).result == Result.model_validate(without)
+            store.amendments.exclude_pose(run.id, index, "", result=None)
+    assert store.runs.get(run.id).result == Result.model_validate(without)
 
 
 @given(
@@ -150,10 +150,10 @@ def test_every_bit_of_a_sample_comes_back(arrays):
 def test_a_boards_own_angle_comes_back_where_it_was_sent(store, new_run):
     run, plain = new_run(), block(0, "move")
     angled = replace(block(0, "dwell", first_s=1), angle_deg=np.array([1.0, np.nan, 3.0]))
-    store.add_pose(run.id, 0, FULL, [plain, angled])
+    store.poses.add(run.id, 0, FULL, [plain, angled])
     nan = np.nan
-    np.testing.assert_array_equal(store.samples(run.id).angle_deg, [nan, nan, nan, 1, nan, 3])
-    np.testing.assert_array_equal(store.samples(run.id, pose=0).angle_deg, [1, nan, 3])
+    np.testing.assert_array_equal(store.samples.of(run.id).angle_deg, [nan, nan, nan, 1, nan, 3])
+    np.testing.assert_array_equal(store.samples.of(run.id, pose=0).angle_deg, [1, nan, 3])
     assert joined_arrays([packed_arrays(plain)]).angle_deg is None
     with pytest.raises(ValueError, match="angle_deg has shape"):
         replace(plain, angle_deg=np.zeros(2))
@@ -161,16 +161,16 @@ def test_a_boards_own_angle_comes_back_where_it_was_sent(store, new_run):
 
 def test_samples_are_joined_in_order_or_given_for_one_dwell(store, new_run):
     run = new_run()
-    store.add_pose(run.id, 0, FULL, [block(0, "move"), block(0, "dwell", first_s=1)])
-    store.add_pose(run.id, 1, FULL, [block(1, "move", first_s=2), block(1, "dwell", n=5, first_s=3)])
+    store.poses.add(run.id, 0, FULL, [block(0, "move"), block(0, "dwell", first_s=1)])
+    store.poses.add(run.id, 1, FULL, [block(1, "move", first_s=2), block(1, "dwell", n=5, first_s=3)])
 
-    everything = store.samples(run.id)
+    everything = store.samples.of(run.id)
     assert len(everything) == 14
     assert np.all(np.diff(everything.time_s) > 0)
-    np.testing.assert_array_equal(store.samples(run.id, pose=1).accel_g, block(1, "dwell", n=5).accel_g)
-    assert store.samples(new_run().id).accel_g.shape == (0, 3)
+    np.testing.assert_array_equal(store.samples.of(run.id, pose=1).accel_g, block(1, "dwell", n=5).accel_g)
+    assert store.samples.of(new_run().id).accel_g.shape == (0, 3)
     with pytest.raises(NotFound, match="no pose 2"):
-        store.samples(run.id, pose=2)
+        store.samples.of(run.id, pose=2)
 
 
 def test_a_block_of_unequal_arrays_is_refused():
@@ -181,17 +181,17 @@ def test_a_block_of_unequal_arrays_is_refused():
 def test_pruning_takes_samples_of_old_finished_runs_and_shortens_the_file(database, url, result):
     with Store.open(url, writer="serve") as store:
         old, going = (
-            store.create_run(unit="A", rig="r", plan=None, status="running", provenance={}) for _ in range(2)
+            store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={}) for _ in range(2)
         )
         for run in (old, going):
-            store.add_pose(run.id, 0, FULL, [block(0, "dwell", n=20_000)])
-        store.update_run(old.id, status="completed", result=result)
+            store.poses.add(run.id, 0, FULL, [block(0, "dwell", n=20_000)])
+        store.runs.update(old.id, status="completed", result=result)
 
-        assert store.prune_samples(old.created_at) == 0
+        assert store.samples.prune(old.created_at) == 0
     size = database.stat().st_size
     with Store.open(url, writer="serve") as store:
-        assert store.prune_samples(datetime.now(UTC) + timedelta(days=1)) == 20_000
-        assert (len(store.samples(old.id)), len(store.samples(going.id))) == (0, 20_000)
-        assert [p.pose for p in store.poses(old.id)] == [FULL]
-        assert store.run(old.id).result == Result.model_validate(result)
+        assert store.samples.prune(datetime.now(UTC) + timedelta(days=1)) == 20_000
+        assert (len(store.samples.of(old.id)), len(store.samples.of(going.id))) == (0, 20_000)
+        assert [p.pose for p in store.poses.of(old.id)] == [FULL]
+        assert store.runs.get(old.id).result == Result.model_validate(result)
     assert database.stat().st_size < 0.6 * size

@@ -31,7 +31,7 @@ def test_a_run_comes_back_as_it_was_made(store, new_run):
         status="queued",
     )
 
-    assert store.run(made.id) == made
+    assert store.runs.get(made.id) == made
     assert made.plan == {"kind": "calibration", "seed": 2**63 - 1}
     assert made.progress == Progress.model_validate(
         {"poses_done": 0, "poses_total": 52, "fraction": 0.0, "remaining_s": None}
@@ -47,18 +47,18 @@ def test_a_run_comes_back_as_it_was_made(store, new_run):
 )
 def test_an_unknown_run_is_none_and_cannot_be_changed(store, new_run, run_id):
     new_run()
-    assert store.run(run_id) is None
+    assert store.runs.get(run_id) is None
     with pytest.raises(NotFound, match="there is no run"):
-        store.update_run(run_id, status="running")
+        store.runs.update(run_id, status="running")
 
 
 def test_a_bench_mints_the_id_of_a_run_that_begins_there(store, new_run):
     run_id = new_run_id()
     assert new_run(run_id=run_id).id == run_id
-    assert store.run(run_id).id == run_id
+    assert store.runs.get(run_id).id == run_id
     with pytest.raises(Refused, match=f"there is a run {run_id} already"):
         new_run(unit="B", run_id=run_id)
-    assert store.unit("B") is None
+    assert store.units.get("B") is None
     for no_uuid in ("17", "", run_id.upper(), run_id.replace("-", "")):
         with pytest.raises(ValueError, match="is not a UUID"):
             new_run(run_id=no_uuid)
@@ -76,18 +76,18 @@ def test_ids_are_found_by_how_they_begin(store, new_run):
     )
     for run_id in (second, other, first):
         new_run(run_id=run_id)
-    assert store.uuids_beginning("0123ab", 9) == [first, second]
-    assert store.uuids_beginning("0123ab", 1) == [first]
-    assert store.uuids_beginning("0123abcd-", 9) == [first]
-    assert store.uuids_beginning("%", 9) == store.uuids_beginning("_123ab", 9) == []
+    assert store.runs.ids_beginning("0123ab", 9) == [first, second]
+    assert store.runs.ids_beginning("0123ab", 1) == [first]
+    assert store.runs.ids_beginning("0123abcd-", 9) == [first]
+    assert store.runs.ids_beginning("%", 9) == store.runs.ids_beginning("_123ab", 9) == []
 
 
 def test_each_change_of_state_is_announced_with_it(store, new_run):
     run = new_run(status="queued")
-    started = store.update_run(run.id, status="running")
-    store.update_run(run.id, status="paused")
-    store.update_run(run.id, faults={"crc": 2})  # no state, no event
-    failed = store.update_run(
+    started = store.runs.update(run.id, status="running")
+    store.runs.update(run.id, status="paused")
+    store.runs.update(run.id, faults={"crc": 2})  # no state, no event
+    failed = store.runs.update(
         run.id,
         status="failed",
         error="bench: the stage stalled",
@@ -95,7 +95,7 @@ def test_each_change_of_state_is_announced_with_it(store, new_run):
         progress=PROGRESS,
     )
 
-    events = store.events_after(run.id)
+    events = store.events.after(run.id)
     assert [e.seq for e in events] == [1, 2, 3, 4, 5]
     assert [e.data["status"] for e in events if e.type == "state"] == [
         "queued",
@@ -113,81 +113,81 @@ def test_each_change_of_state_is_announced_with_it(store, new_run):
 
 def test_a_resumed_run_keeps_when_it_began_and_is_not_finished(store, new_run):
     run = new_run()
-    store.update_run(run.id, status="interrupted", error="the program died")
-    resumed = store.update_run(run.id, status="running", error=None)
+    store.runs.update(run.id, status="interrupted", error="the program died")
+    resumed = store.runs.update(run.id, status="running", error=None)
     assert (resumed.started_at, resumed.finished_at, resumed.error) == (run.started_at, None, None)
 
 
 def test_events_are_given_after_a_number_and_in_pieces(store, new_run):
     run, other = new_run(), new_run()
-    store.append_events(other.id, [("reading", {"reading_deg": 9.0})])
-    numbers = store.append_events(run.id, [("reading", {"reading_deg": float(k)}) for k in range(5)])
+    store.events.append(other.id, [("reading", {"reading_deg": 9.0})])
+    numbers = store.events.append(run.id, [("reading", {"reading_deg": float(k)}) for k in range(5)])
 
     assert numbers == [2, 3, 4, 5, 6]
-    assert [e.seq for e in store.events_after(run.id, 3)] == [4, 5, 6]
-    assert [e.data["reading_deg"] for e in store.events_after(run.id, 3, limit=2)] == [2.0, 3.0]
-    assert store.events_after(run.id, 6) == []
-    assert store.append_events(run.id, []) == []
+    assert [e.seq for e in store.events.after(run.id, 3)] == [4, 5, 6]
+    assert [e.data["reading_deg"] for e in store.events.after(run.id, 3, limit=2)] == [2.0, 3.0]
+    assert store.events.after(run.id, 6) == []
+    assert store.events.append(run.id, []) == []
 
 
 def test_a_document_with_a_nan_is_refused_and_nothing_of_it_is_stored(store, new_run):
     run = new_run()
     with pytest.raises(ValueError, match="cannot be stored"):
-        store.append_events(
+        store.events.append(
             run.id, [("reading", {"reading_deg": 1.0}), ("reading", {"reading_deg": math.nan})]
         )
-    assert [e.type for e in store.events_after(run.id)] == ["state"]
+    assert [e.type for e in store.events.after(run.id)] == ["state"]
 
 
 def test_runs_are_listed_newest_first_and_a_cursor_survives_new_runs(store, new_run):
     made = [new_run(unit="AB"[k % 2], rig="bench" if k < 4 else "oven").id for k in range(6)]
 
-    first, cursor = store.runs(limit=4)
+    first, cursor = store.runs.page(limit=4)
     new_run()
-    second, end = store.runs(limit=4, cursor=cursor)
+    second, end = store.runs.page(limit=4, cursor=cursor)
 
     assert [r.id for r in first + second] == made[::-1]
     assert end is None
-    assert [r.id for r in store.runs(unit="B", rig="bench")[0]] == [made[3], made[1]]
-    assert store.runs(status="failed") == ([], None)
+    assert [r.id for r in store.runs.page(unit="B", rig="bench")[0]] == [made[3], made[1]]
+    assert store.runs.page(status="failed") == ([], None)
     with pytest.raises(ValueError, match="cursor 'x'"):
-        store.runs(cursor="x")
+        store.runs.page(cursor="x")
     with pytest.raises(ValueError, match="at least 1"):
-        store.runs(limit=0)
+        store.runs.page(limit=0)
 
 
 def test_a_run_that_is_delivered_late_is_listed_by_when_it_was_made(store):
     yesterday, today, delivered = lay(store, *(("A", day, gave(), {}) for day in (1, 2, 0.5)))
-    first, cursor = store.runs(limit=1)
-    then, cursor = store.runs(limit=1, cursor=cursor)
-    last, _ = store.runs(limit=1, cursor=cursor)
+    first, cursor = store.runs.page(limit=1)
+    then, cursor = store.runs.page(limit=1, cursor=cursor)
+    last, _ = store.runs.page(limit=1, cursor=cursor)
     assert [run.id for run in first + then + last] == [today, yesterday, delivered]
     with pytest.raises(ValueError, match="not one that this list gave"):
-        store.runs(cursor=new_run_id())
+        store.runs.page(cursor=new_run_id())
 
 
 def test_runs_of_one_moment_are_each_on_one_page(store):
     laid = lay(store, *(("A", 1, gave(), {}) for _ in range(5)))
-    seen, cursor = store.runs(limit=2)
+    seen, cursor = store.runs.page(limit=2)
     while cursor is not None:
-        page, cursor = store.runs(unit="A", limit=2, cursor=cursor)
+        page, cursor = store.runs.page(unit="A", limit=2, cursor=cursor)
         seen += page
     assert [run.id for run in seen] == laid[::-1]
 
 
 def test_an_import_is_stored_at_once_or_not_at_all(store, new_run, result):
     run = new_run(status="completed", poses=[Pose(0.0, 0.1), Pose(10.0, 10.2)], result=result)
-    assert [p.pose.reading_deg for p in store.poses(run.id)] == [0.1, 10.2]
+    assert [p.pose.reading_deg for p in store.poses.of(run.id)] == [0.1, 10.2]
     assert run.progress == Progress.model_validate(
         {"poses_done": 2, "poses_total": 2, "fraction": 1.0, "remaining_s": 0.0}
     )
     assert run.started_at == run.finished_at == run.created_at
-    assert store.latest_calibration_run("A").id == run.id
+    assert store.runs.latest_calibration("A").id == run.id
 
     with pytest.raises(StoreError):
         new_run(unit="B", status="completed", poses=[Pose(0.0, 0.1), Pose(1.0, math.nan)], result=result)
-    assert store.unit("B") is None
-    assert len(store.runs()[0]) == 1
+    assert store.units.get("B") is None
+    assert len(store.runs.page()[0]) == 1
 
 
 def test_a_follow_up_names_a_run_that_exists(store, new_run):
@@ -202,7 +202,7 @@ def test_the_calibration_in_force_is_the_latest_that_counts(store, new_run, resu
         plan = {"kind": given.pop("kind", "calibration")}
         status = given.pop("status", "completed")
         run = new_run(plan=plan)
-        return store.update_run(run.id, status=status, result={**result, **given})
+        return store.runs.update(run.id, status=status, result={**result, **given})
 
     in_force = finished(kind="sweep")
     voided = finished()
@@ -210,25 +210,25 @@ def test_the_calibration_in_force_is_the_latest_that_counts(store, new_run, resu
     finished(kind="static")
     finished(status="aborted")
     new_run()
-    assert store.latest_calibration_run("A").id == voided.id
+    assert store.runs.latest_calibration("A").id == voided.id
 
-    store.void_run(voided.id, "wrong fixture")
+    store.amendments.void(voided.id, "wrong fixture")
 
-    assert store.latest_calibration_run("A") == store.run(in_force.id)
-    assert store.latest_calibration_run("B") is None
-    assert store.run(voided.id).voided.reason == "wrong fixture"
-    assert store.run(voided.id).result == voided.result, "a voided run is kept"
+    assert store.runs.latest_calibration("A") == store.runs.get(in_force.id)
+    assert store.runs.latest_calibration("B") is None
+    assert store.runs.get(voided.id).voided.reason == "wrong fixture"
+    assert store.runs.get(voided.id).result == voided.result, "a voided run is kept"
 
 
 def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store, new_run, result):
     for unit in ("B", "A", "C"):
         for kind, bias in (("calibration", 0.1), ("sweep", 0.2)):
             run = new_run(unit=unit, plan={"kind": kind})
-            store.update_run(run.id, status="completed", result={**result, "bias_deg": bias})
-    store.void_run(run.id, "dropped")
+            store.runs.update(run.id, status="completed", result={**result, "bias_deg": bias})
+    store.amendments.void(run.id, "dropped")
     new_run(unit="A")
 
-    rows = store.comparison()
+    rows = store.units.comparison()
     assert [(r.unit, r.result["bias_deg"]) for r in rows] == [
         ("A", 0.1),
         ("A", 0.2),
@@ -236,7 +236,7 @@ def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store
         ("B", 0.2),
         ("C", 0.1),
     ]
-    assert [r.unit for r in store.comparison(["B", "unheard of"])] == ["B", "B"]
+    assert [r.unit for r in store.units.comparison(["B", "unheard of"])] == ["B", "B"]
     row = rows[0]
     same = ("bias_std_deg", "scale", "scale_std", "rms_raw_deg", "rms_calibrated_deg", "temperature_c")
     assert row.result == {
@@ -244,59 +244,59 @@ def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store
         "rms_with_effects_deg": None,
         **{name: result[name] for name in same},
     }
-    assert row.finished_at == store.run(row.run_id).finished_at
+    assert row.finished_at == store.runs.get(row.run_id).finished_at
 
 
 def test_a_new_result_replaces_the_figures_and_none_removes_them(store, new_run, result):
     run = new_run()
-    store.update_run(run.id, status="completed", result=result)
-    store.set_result(run.id, {**result, "bias_deg": 0.5})
-    assert [r.result["bias_deg"] for r in store.comparison()] == [0.5]
-    assert store.run(run.id).result.bias_deg == 0.5
+    store.runs.update(run.id, status="completed", result=result)
+    store.runs.set_result(run.id, {**result, "bias_deg": 0.5})
+    assert [r.result["bias_deg"] for r in store.units.comparison()] == [0.5]
+    assert store.runs.get(run.id).result.bias_deg == 0.5
 
-    store.set_result(run.id, None)
-    assert store.comparison() == []
-    assert store.run(run.id).result is None
+    store.runs.set_result(run.id, None)
+    assert store.units.comparison() == []
+    assert store.runs.get(run.id).result is None
 
 
 def test_units_know_their_runs(store, new_run):
     new_run(unit="B")
     last = new_run(unit="B")
     new_run(unit="A")
-    a, b = store.units()
+    a, b = store.units.all()
     assert (a.serial, a.n_runs, b.serial, b.n_runs) == ("A", 1, "B", 2)
     assert b.last_run_at == last.created_at
-    assert store.unit("B") == b
-    assert store.unit("C") is None
+    assert store.units.get("B") == b
+    assert store.units.get("C") is None
 
 
 def test_what_a_dead_program_left_unfinished_is_found(url):
     with Store.open(url, writer="serve") as store:
         ids = {
-            status: store.create_run(unit="A", rig="r", plan=None, status=status, provenance={}).id
+            status: store.runs.create(unit="A", rig="r", plan=None, status=status, provenance={}).id
             for status in ("queued", "running", "paused", "completed", "failed", "interrupted")
         }
     with Store.open(url, writer="serve") as store:
-        assert [run.id for run in store.unfinished()] == [ids["queued"], ids["running"], ids["paused"]]
+        assert [run.id for run in store.runs.unfinished()] == [ids["queued"], ids["running"], ids["paused"]]
 
 
 def test_effects_in_force_are_those_of_the_unit_and_of_its_rig_alone(store, new_run):
     run = new_run(unit="AS-1")
     of_unit = AcceptedEffect(run.id, "AS-1", None, "time_drift", "sensor", {"deg_per_s": 1e-4})
     of_rig = AcceptedEffect(run.id, None, "bench-1", "backlash", "stage", {"backlash_deg": 0.08})
-    store.accept_effects(run.id, [of_unit, of_rig])
-    assert store.effects_in_force("AS-1", "bench-1") == [of_unit, of_rig]
-    assert store.effects_in_force("AS-2", "bench-1") == [of_rig]
-    assert store.effects_in_force("AS-1", None) == [of_unit]
+    store.effects.accept(run.id, [of_unit, of_rig])
+    assert store.effects.in_force("AS-1", "bench-1") == [of_unit, of_rig]
+    assert store.effects.in_force("AS-2", "bench-1") == [of_rig]
+    assert store.effects.in_force("AS-1", None) == [of_unit]
 
 
 def test_where_a_stage_was_left_is_there_for_the_next_process(url):
     with Store.open(url, writer="run") as store:
-        assert store.left_at("bench") is None
-        store.leave_at("bench", -60.5)
-        store.leave_at("other", None)
+        assert store.positions.of("bench") is None
+        store.positions.save("bench", -60.5)
+        store.positions.save("other", None)
     with Store.open(url, writer="serve") as store:
-        assert store.left_at("bench").stage_deg == -60.5
-        assert store.left_at("other").stage_deg is None
-        store.leave_at("bench", None)
-        assert store.left_at("bench").stage_deg is None
+        assert store.positions.of("bench").stage_deg == -60.5
+        assert store.positions.of("other").stage_deg is None
+        store.positions.save("bench", None)
+        assert store.positions.of("bench").stage_deg is None

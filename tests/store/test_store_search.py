@@ -15,7 +15,7 @@ def runs(store):
 
     def make(name: str, **more):
         given = {"unit": name, "rig": "r", "plan": {"kind": "calibration"}, "status": "completed", **more}
-        return store.create_run(provenance={}, **given).id
+        return store.runs.create(provenance={}, **given).id
 
     first = make("AS-0042", note="Gehäuse 100% dicht", plan={"kind": "verification"})
     return {
@@ -44,20 +44,20 @@ def runs(store):
     ],
 )
 def test_runs_are_found_by_what_they_say_and_are(store, runs, sought, names):
-    found, cursor = store.sought_runs(sought)
+    found, cursor = store.runs.search(sought)
     assert ([run.id for run in found], cursor) == ([runs[name] for name in names], None)
 
 
 def test_runs_are_found_by_when_they_were_made_and_by_what_they_follow(store, runs):
-    second = store.run(runs["second"]).created_at
+    second = store.runs.get(runs["second"]).created_at
     within = Sought(since=second, before=second + timedelta(microseconds=1))
-    assert [run.id for run in store.sought_runs(within)[0]] == [runs["second"]]
-    assert [run.id for run in store.sought_runs(Sought(before=second))[0]] == [runs["first"]]
-    followed = store.sought_runs(Sought(follows=runs["first"]))[0]
+    assert [run.id for run in store.runs.search(within)[0]] == [runs["second"]]
+    assert [run.id for run in store.runs.search(Sought(before=second))[0]] == [runs["first"]]
+    followed = store.runs.search(Sought(follows=runs["first"]))[0]
     assert [run.id for run in followed] == [runs["follow-up"]]
 
 
 def test_what_is_sought_goes_on_page_by_page(store, runs):
-    page, cursor = store.sought_runs(Sought(text="as"), limit=1)
-    rest, last = store.sought_runs(Sought(text="as"), limit=1, cursor=cursor)
+    page, cursor = store.runs.search(Sought(text="as"), limit=1)
+    rest, last = store.runs.search(Sought(text="as"), limit=1, cursor=cursor)
     assert ([run.id for run in (*page, *rest)], last) == ([runs["second"], runs["first"]], None)

@@ -25,12 +25,12 @@ def filled(store):
 
 
 def test_what_was_done_is_told_in_order(filled):
-    entries = filled.trail()
+    entries = filled.trail.entries()
     assert [entry.act for entry in entries] == ACTS
     assert [entry.seq for entry in entries] == [1, 2, 3]
-    assert [e.act.what for e in filled.trail(unit="A", what=["released"])] == ["released"]
-    assert [e.seq for e in filled.trail(since=entries[1].at, after=2)] == [3]
-    assert filled.broken_link() is None
+    assert [e.act.what for e in filled.trail.entries(unit="A", what=["released"])] == ["released"]
+    assert [e.seq for e in filled.trail.entries(since=entries[1].at, after=2)] == [3]
+    assert filled.trail.broken_link() is None
 
 
 @pytest.mark.parametrize(
@@ -45,4 +45,4 @@ def test_what_was_done_is_told_in_order(filled):
 def test_a_changed_or_missing_entry_breaks_the_chain(filled, database, damage, found_at):
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.execute(damage)
-    assert filled.broken_link() == found_at
+    assert filled.trail.broken_link() == found_at

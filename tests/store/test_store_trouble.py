@@ -66,28 +66,28 @@ def test_a_writer_on_a_full_disk_is_refused_and_begins_once_there_is_room(disk, 
         Store.open(url_of(disk), writer="serve")
     if there:
         with Store.open(url_of(disk), writer=None) as reader:
-            assert len(reader.poses(run_id)) == 3, "reading needs no room"
+            assert len(reader.poses.of(run_id)) == 3, "reading needs no room"
     disk.make_room()
     with Store.open(url_of(disk), writer="serve") as store:
-        assert [run.id for run in store.runs()[0]] == ([run_id] if there else [])
+        assert [run.id for run in store.runs.page()[0]] == ([run_id] if there else [])
 
 
 def test_a_disk_that_fills_in_the_middle_keeps_what_was_stored_and_goes_on_with_room(disk):
     with Store.open(url_of(disk), writer="run") as store:
-        run = store.create_run(unit="A", rig="r", plan=None, status="running", provenance={})
+        run = store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
         stored = 0
         disk.fill()
         (disk / "ballast").open("r+b").truncate(300_000)
         with pytest.raises(StoreUnavailableError, match="the disk is full"):
             for k in range(1000):
-                store.add_pose(run.id, k, Pose(float(k), float(k)), [block(k)], [("pose", {"index": k})])
+                store.poses.add(run.id, k, Pose(float(k), float(k)), [block(k)], [("pose", {"index": k})])
                 stored += 1
         assert 0 < stored < 1000
-        assert [p.index for p in store.poses(run.id)] == list(range(stored))
-        assert len(store.samples(run.id)) == 500 * stored
+        assert [p.index for p in store.poses.of(run.id)] == list(range(stored))
+        assert len(store.samples.of(run.id)) == 500 * stored
         disk.make_room()
-        store.add_pose(run.id, stored, Pose(0.0, 0.0), [block(stored)], [("pose", {"index": stored})])
-        assert len(store.poses(run.id)) == stored + 1
+        store.poses.add(run.id, stored, Pose(0.0, 0.0), [block(stored)], [("pose", {"index": stored})])
+        assert len(store.poses.of(run.id)) == stored + 1
 
 
 def test_a_disk_too_full_for_the_copy_before_a_migration_leaves_the_store_as_it_was(
@@ -104,7 +104,7 @@ def test_a_disk_too_full_for_the_copy_before_a_migration_leaves_the_store_as_it_
     assert sorted(p.name for p in disk.iterdir()) == ["ballast", "calrig.db", "calrig.db.lock"]
     disk.make_room()
     with Store.open(url_of(disk), writer="serve") as store:
-        assert len(store.poses(run_id)) == 20
+        assert len(store.poses.of(run_id)) == 20
 
 
 def test_a_disk_too_full_for_the_migration_itself_leaves_the_store_as_it_was(disk, tmp_path, monkeypatch):
@@ -116,14 +116,14 @@ def test_a_disk_too_full_for_the_migration_itself_leaves_the_store_as_it_was(dis
         Store.open(url_of(disk), writer="serve")
     monkeypatch.undo()
     with Store.open(url_of(disk), writer="serve") as store:
-        assert len(store.samples(run_id)) == 1500
+        assert len(store.samples.of(run_id)) == 1500
 
 
 def test_a_read_only_disk_is_read_and_not_written(disk):
     run_id = filled(url_of(disk), poses=3)
     disk.remount("ro")
     with Store.open(url_of(disk), writer=None) as reader:
-        assert len(reader.poses(run_id)) == 3
+        assert len(reader.poses.of(run_id)) == 3
     with pytest.raises(StoreError, match=r"lock cannot be made \(Read-only file system\).*name another"):
         Store.open(url_of(disk), writer="serve")
     disk.remount("rw")
@@ -136,9 +136,9 @@ def test_a_reader_without_locks_says_so_where_a_writer_came_meanwhile(disk):
     with Store.open(url_of(disk), writer=None) as reader:
         disk.remount("rw")
         with Store.open(url_of(disk), writer="serve") as store:
-            store.void_run(run_id, "bumped")
+            store.amendments.void(run_id, "bumped")
             with pytest.raises(StoreUnavailableError, match="a writer has taken it while it was read"):
-                reader.run(run_id)
+                reader.runs.get(run_id)
 
 
 def test_a_network_drive_is_not_written_to_and_read_only_where_nobody_writes(
@@ -155,7 +155,7 @@ def test_a_network_drive_is_not_written_to_and_read_only_where_nobody_writes(
     with pytest.raises(StoreError, match=r"network drive.*nfs4.*local disk.*calrig backup"):
         Store.open(url, writer="serve")
     with Store.open(url, writer=None) as reader:
-        assert len(reader.poses(run_id)) == 3
+        assert len(reader.poses.of(run_id)) == 3
     Path(f"{database}-wal").write_bytes(b"somebody writes on another host")
     with pytest.raises(StoreError, match=r"network drive.*nfs4"):
         Store.open(url, writer=None)

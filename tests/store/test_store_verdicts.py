@@ -61,13 +61,15 @@ def something_changes(store, run_id, chance):
     accepted = AcceptedEffect(run_id, None, "r", "backlash", "stage", {"backlash_deg": 0.1})
     return chance.choice(
         [
-            lambda: store.replace_limits(chance.sample(LIMITS, chance.randint(0, 4)), who=None),
-            lambda: store.set_result(run_id, chance.choice(RESULTS)),
-            lambda: store.update_run(run_id, faults={"move_mismatch": chance.randint(0, 1)}),
-            lambda: store.update_run(run_id, diagnosis=DIAGNOSIS),
-            lambda: store.accept_effects(run_id, [accepted]),
-            lambda: store.void_run(run_id, "the cable caught"),
-            lambda: store.move_runs({run_id: chance.choice(RESULTS)}, chance.choice("ABC"), "a wrong label"),
+            lambda: store.limits.replace(chance.sample(LIMITS, chance.randint(0, 4)), who=None),
+            lambda: store.runs.set_result(run_id, chance.choice(RESULTS)),
+            lambda: store.runs.update(run_id, faults={"move_mismatch": chance.randint(0, 1)}),
+            lambda: store.runs.update(run_id, diagnosis=DIAGNOSIS),
+            lambda: store.effects.accept(run_id, [accepted]),
+            lambda: store.amendments.void(run_id, "the cable caught"),
+            lambda: store.amendments.move(
+                {run_id: chance.choice(RESULTS)}, chance.choice("ABC"), "a wrong label"
+            ),
             lambda: chance.random() < 0.3 and another_program_wrote(store),
         ]
     )
@@ -83,11 +85,11 @@ def found(store, judged, limit):
     """Ids of all pages; as often as not, what was judged whole on the way is kept."""
     ids, cursor = [], None
     while True:
-        page = store.judged_runs(Sought(), judged, limit=limit, cursor=cursor)
+        page = store.verdicts.judged_runs(Sought(), judged, limit=limit, cursor=cursor)
         assert len(page.items) <= limit
         ids += [run.id for run in page.items]
         if limit > 2:
-            store.judge(page.judged_whole)
+            store.verdicts.judge(page.judged_whole)
         cursor = page.next_cursor
         if cursor is None:
             return ids
@@ -95,23 +97,23 @@ def found(store, judged, limit):
 
 def test_whatever_a_verdict_follows_from_is_followed(store, new_run):
     """With 24 degrees of freedom only noise is left, with one less, for an effect was fitted, more is."""
-    store.replace_limits([LIMITS[2]], who=None)
+    store.limits.replace([LIMITS[2]], who=None)
     near = result(rms_with_effects_deg=1.275 * 0.005 / 1.002)
     run_id = new_run(unit="A", rig="r", plan={"kind": "calibration"}, result=near).id
     accepted = AcceptedEffect(run_id, None, "r", "backlash", "stage", {"backlash_deg": 0.1})
     for change, judged in (
         (lambda: None, {"pass", "noise"}),
-        (lambda: store.update_run(run_id, faults={"move_mismatch": 1}), {"undecided", "noise"}),
-        (lambda: store.update_run(run_id, faults={}, diagnosis=DIAGNOSIS), {"pass", "noise"}),
-        (lambda: store.accept_effects(run_id, [accepted]), {"pass", "more_than_noise"}),
-        (lambda: store.update_run(run_id, plan={"kind": "verification"}), {"pass", "noise"}),
-        (lambda: store.replace_limits([LIMITS[0]], who=None), {"pass", "noise"}),
-        (lambda: store.set_result(run_id, result(0.5)), {"fail", "more_than_noise"}),
-        (lambda: store.move_runs({run_id: near}, "B", "a wrong label"), {"no_limits", "noise"}),
-        (lambda: store.set_result(run_id, None), set()),
+        (lambda: store.runs.update(run_id, faults={"move_mismatch": 1}), {"undecided", "noise"}),
+        (lambda: store.runs.update(run_id, faults={}, diagnosis=DIAGNOSIS), {"pass", "noise"}),
+        (lambda: store.effects.accept(run_id, [accepted]), {"pass", "more_than_noise"}),
+        (lambda: store.runs.update(run_id, plan={"kind": "verification"}), {"pass", "noise"}),
+        (lambda: store.limits.replace([LIMITS[0]], who=None), {"pass", "noise"}),
+        (lambda: store.runs.set_result(run_id, result(0.5)), {"fail", "more_than_noise"}),
+        (lambda: store.amendments.move({run_id: near}, "B", "a wrong label"), {"no_limits", "noise"}),
+        (lambda: store.runs.set_result(run_id, None), set()),
     ):
         change()
-        assert said(store.run(run_id)) == judged
+        assert said(store.runs.get(run_id)) == judged
         assert {one for one in get_args(Judged) if found(store, one, 5)} == judged
 
 
@@ -126,11 +128,11 @@ def test_a_search_by_verdict_finds_what_judging_one_by_one_does(store, new_run, 
     sought = set()
     for _ in range(50):
         changed = chance.choice(runs)
-        was = said(store.run(changed))
+        was = said(store.runs.get(changed))
         something_changes(store, changed, chance)()
-        now = said(store.run(changed))
+        now = said(store.runs.get(changed))
         judged = chance.choice([*(was ^ now), *(was ^ now), *now] or get_args(Judged))
-        expected = [run_id for run_id in reversed(runs) if judged in said(store.run(run_id))]
+        expected = [run_id for run_id in reversed(runs) if judged in said(store.runs.get(run_id))]
         assert found(store, judged, chance.randint(1, 5)) == expected
         sought |= {judged} if expected else set()
     assert len(sought) >= 5

@@ -41,7 +41,7 @@ def measured(seed: int, folder: Path, clock: VirtualClock) -> list[Pose]:
         clock.until(lambda: service.run(run.id).status not in ("queued", "running"), "end", LONGEST_S)
         ended = service.run(run.id)
         assert ended.status == "completed", ended.error
-        poses = [stored.pose for stored in store.poses(run.id)]
+        poses = [stored.pose for stored in store.poses.of(run.id)]
         service.close()
     return poses
 

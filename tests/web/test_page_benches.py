@@ -183,7 +183,7 @@ def test_benches_come_and_go_while_somebody_watches(
 ) -> None:
     _, lab = benches
     page = show(40)
-    lab.store.add_bench("bench-9", "hall 3")
+    lab.store.enrolment.add("bench-9", "hall 3")
     expect(page.locator(".halls h2")).to_have_text(["hall 1", "hall 2", "hall 3", "hall 10"])
     expect(page.locator("th.bench").filter(has_text="bench-9")).to_contain_text("has not spoken yet")
     lab.beat("bench-1", ago_s=60)

@@ -116,7 +116,7 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     expect(effect).to_contain_text("belongs to the error map of rig bench-3")
     expect(verdict.locator(".headline")).to_have_text("Good: only noise is left.")
     expect(verdict).to_have_class("verdict good")
-    assert [e.name for e in service.store.effects_in_force("TRACED", "bench-3")] == ["backlash"]
+    assert [e.name for e in service.store.effects.in_force("TRACED", "bench-3")] == ["backlash"]
     shown = effect.locator(".accepted")
     (kept,) = client.get(f"/api/runs/{run['id']}").json()["diagnosis"]["effects"]
     expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
@@ -140,7 +140,7 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     page.get_by_test_id("confirm").click()
     expect(verdict).to_contain_text("names backlash, which has not been accepted")
     expect(page.locator("#accept-backlash")).to_be_visible()
-    assert service.store.effects_in_force("TRACED", "bench-3") == []
+    assert service.store.effects.in_force("TRACED", "bench-3") == []
     considered = page.get_by_test_id("considered-backlash")
     considered.locator("summary").click()
     expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")
@@ -166,7 +166,7 @@ def test_every_effect_of_the_catalogue_is_shown_in_its_own_words(page, client, s
     found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
     del found["grade"], found["says"]  # as an earlier version stored it
     stored = {**found, "verdict": "named", "effects": [as_found(effect) for effect in CATALOGUE]}
-    service.store.update_run(run["id"], diagnosis=stored)
+    service.store.runs.update(run["id"], diagnosis=stored)
     go(f"#/runs/{run['id']}")
     expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("Diagnosed by an earlier version")
     expect(page.locator(".effect")).to_have_count(len(CATALOGUE))

@@ -21,7 +21,7 @@ def interrupted(rig: RigSettings, store_path: Path) -> str:
     plan = Plan.model_validate({**QUICK, "sweeps": 4})
     with running_service(store_path, rig) as service:
         run = service.start(unit="AS-1", plan=plan)
-        wait_for(lambda: len(service.store.poses(run.id)) >= 2, "two poses")
+        wait_for(lambda: len(service.store.poses.of(run.id)) >= 2, "two poses")
     return run.id
 
 

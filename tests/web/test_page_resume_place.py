@@ -28,10 +28,10 @@ def killed(stepper: RigSettings, store_path: Path) -> tuple[str, float]:
     """A run that was killed in a move, and the elevation at which its stage stands since."""
     with running_service(store_path, stepper) as service:
         run = service.start(unit="AS-1", plan=Plan.model_validate({**QUICK, "sweeps": 4}))
-        wait_for(lambda: len(service.store.poses(run.id)) >= 2, "two poses")
+        wait_for(lambda: len(service.store.poses.of(run.id)) >= 2, "two poses")
         service.close()
-        stands_deg = service.store.left_at(stepper.name).stage_deg
-        service.store.leave_at(stepper.name, None)  # which no program does that is killed
+        stands_deg = service.store.positions.of(stepper.name).stage_deg
+        service.store.positions.save(stepper.name, None)  # which no program does that is killed
     return run.id, stands_deg
 
 

@@ -51,7 +51,7 @@ def test_the_place_is_asked_for_where_a_run_has_failed_for_want_of_it(
     expect(page.locator("#stage-place summary")).to_have_text("Stage without homing")
     expect(page.locator("#stage_at_deg")).to_be_hidden()  # nobody needs it
 
-    service.store.leave_at("stepper", None)  # as a power cut in mid-move leaves it
+    service.store.positions.save("stepper", None)  # as a power cut in mid-move leaves it
     expect(start(page, expect)).to_have_text("failed")
     expect(page.locator("#view")).to_contain_text("where it stands is not known")
     expect(page.locator("#view")).to_contain_text('"The stage stands at" where the page starts a run')

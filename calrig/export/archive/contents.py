@@ -152,11 +152,11 @@ class _Contents:
     def members(self) -> Iterator[Member]:
         """All but the manifest."""
         revisions, newest = _settled(self._store, self._unit)
-        head = next(iter(self._store.trail(newest_first=True, limit=1)), None)
+        head = next(iter(self._store.trail.entries(newest_first=True, limit=1)), None)
         self._trail = {
             "entries": 0,
             "head": None if head is None else {"seq": head.seq, "sha256": head.sha256},
-            "broken_at": self._store.broken_link(),
+            "broken_at": self._store.trail.broken_link(),
         }
         yield Member(layout.README, [layout.WHAT_IT_IS.encode()])
         yield from self._revisions(revisions)
@@ -186,7 +186,7 @@ class _Contents:
                 self._in_force = one.revision
         yield _document(layout.REVISIONS, listed)
         used = {int(key) for one in revisions for key in one.basis["effects"] if key.isdigit()}
-        effects = self._store.accepted_effects(sorted(used))
+        effects = self._store.effects.by_id(sorted(used))
         yield _document(layout.EFFECTS, [asdict(effect) for effect in effects])
         for one in revisions:
             yield Member(layout.document_name(one.revision), [one.text.encode()])
@@ -197,8 +197,8 @@ class _Contents:
     def _entries(self, newest: int) -> Iterator[bytes]:
         """The unit's entries of the trail up to a number, a line each, and what each is chained to."""
         after = 0
-        while entries := self._store.trail(unit=self._unit, after=after, limit=ENTRIES_AT_ONCE):
-            before = self._store.links_before([entry.seq for entry in entries])
+        while entries := self._store.trail.entries(unit=self._unit, after=after, limit=ENTRIES_AT_ONCE):
+            before = self._store.trail.links_before([entry.seq for entry in entries])
             for entry in entries:
                 if entry.seq > newest:
                     return
@@ -214,13 +214,13 @@ class _Contents:
         cursor: str | None = None
         more = True
         while more:
-            runs, cursor = self._store.runs(unit=self._unit, limit=RUNS_AT_ONCE, cursor=cursor)
+            runs, cursor = self._store.runs.page(unit=self._unit, limit=RUNS_AT_ONCE, cursor=cursor)
             for run in runs:
                 rested_on.discard(run.id)
                 yield from self._run(run, listed)
             more = cursor is not None
         for run_id in sorted(rested_on):
-            if (moved := self._store.run(run_id)) is not None:
+            if (moved := self._store.runs.get(run_id)) is not None:
                 yield from self._run(moved, listed)
         yield _document(layout.RUNS, listed)
 
@@ -237,13 +237,13 @@ class _Contents:
 
         def batches() -> Iterator[list[Pose]]:
             indices.clear()
-            for batch in self._store.pose_batches(run.id):
+            for batch in self._store.poses.batches_of(run.id):
                 indices.extend(stored.index for stored in batch)
                 excluded.update((p.index, p.excluded) for p in batch if p.excluded is not None)
                 yield [stored.pose for stored in batch]
 
         yield Member(poses, (text.encode() for text in write_pose_batches(batches)))
-        yield Member(samples, labelled_samples(self._store.labelled_blocks(run.id)))
+        yield Member(samples, labelled_samples(self._store.samples.labelled_blocks(run.id)))
         said = {**_run_document(run), "poses": {"indices": _spans(indices), "excluded": excluded}}
         yield _document(document, said)
         listed.append({"run_id": run.id, "unit": run.unit, "status": run.status, "n_poses": len(indices)})
@@ -259,13 +259,13 @@ def _settled(store: Store, unit: str) -> tuple[list[Revision], int]:
     """The unit's revisions, and the number of its entry in the trail that tells of their last change."""
     while True:
         newest = _newest(store, unit)
-        revisions = store.revisions(unit)
+        revisions = store.revisions.of(unit)
         if _newest(store, unit) == newest:
             return revisions, newest
 
 
 def _newest(store: Store, unit: str) -> int:
-    return next((entry.seq for entry in store.trail(unit=unit, newest_first=True, limit=1)), 0)
+    return next((entry.seq for entry in store.trail.entries(unit=unit, newest_first=True, limit=1)), 0)
 
 
 def _spans(indices: Sequence[int]) -> list[list[int]]:

@@ -62,7 +62,7 @@ class Bench:
         run = self.service.run(run_id)
         assert run.status == "completed" and run.result is not None, run.error
         took_s = self.time_scale * (self.clock.now_s() - began_s)
-        return Carried(took_s, run.result, [stored.pose for stored in self.service.store.poses(run_id)])
+        return Carried(took_s, run.result, [stored.pose for stored in self.service.store.poses.of(run_id)])
 
     def reached_by(self, plan: Layout) -> Goals:
         """What a plan of dwells is expected to reach, by what the rig's last run showed of its noise."""

@@ -85,4 +85,4 @@ def carried_out(
     with clock.taking_part(), simulated, Store.open(f"sqlite:///{folder}/{seed}.db", writer="tests") as store:
         with closing(RunService(store, [rig])) as service:
             run = service.wait(service.start(unit="AS-1", plan=plan).id, 600)
-        return run, [stored.pose for stored in store.poses(run.id)]
+        return run, [stored.pose for stored in store.poses.of(run.id)]

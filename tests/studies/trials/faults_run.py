@@ -213,7 +213,7 @@ def _judge(
         outcome.hung.append(f"{run.status} after {HUNG_S:g} s, progress {run.progress}")
     elif run.status != "completed" and not (run.status == "failed" and _is_reason(run.error)):
         outcome.without_reason.append(f"{run.status}: {run.error}")
-    for stored in store.poses(run.id):
+    for stored in store.poses.of(run.id):
         _judge_pose(outcome, stored, run, rig, store, sensed)
     _judge_stop(outcome, rig, proxies["stage"])
     _judge_commands(outcome, proxies["stage"])
@@ -233,7 +233,7 @@ def _judge_pose(
     if outcome.case.sketch is not None:
         _judge_by_stage(outcome, name, stored)
         return
-    times_s = sensed.times_s(store.samples(run.id, stored.index))
+    times_s = sensed.times_s(store.samples.of(run.id, stored.index))
     if None in times_s:
         outcome.wrong.append(f"{name}: {times_s.count(None)} samples that the sensor never measured")
         return

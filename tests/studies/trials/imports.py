@@ -88,7 +88,7 @@ def _poses(data: bytes, store: Store | None) -> str:
     if store is None or wrong:
         return wrong
     run = Records(store).import_poses(unit="A", rig=None, file_name=Path("f.csv").name, content=data)
-    kept = [stored.pose for stored in store.poses(run.id)]
+    kept = [stored.pose for stored in store.poses.of(run.id)]
     if kept != imported.poses:
         return "the store holds other poses than were read"
     again = read_poses(write_poses(kept).encode())
