@@ -16,8 +16,7 @@ from calrig.calibration.poses import MOUNT_DEG, Pose, of_first_mount
 from calrig.calibration.regression import ApplyError
 from calrig.calibration.results import FittedResult, apply_calibration, numbers_of
 from calrig.calibration.separation import MapError, StageMap, with_map
-from calrig.calibration.uncertainty import limit_for, reference_figures
-from calrig.calibration.verdict import verdict
+from calrig.calibration.uncertainty import limit_for, make_verdict, reference_figures
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_document import line_of
 from calrig.model.result import Doubt, Reference
@@ -145,7 +144,7 @@ def solved_verdict(
         )
     except ApplyError as error:
         raise Conflict(f"run {run.id}: {error}") from error
-    return verdict(
+    return make_verdict(
         _as_one_calibration(result).with_doubts(doubts),
         limit=limit_for(store.limits.all(), content["unit"], content["rig"]),
         calibration=content,

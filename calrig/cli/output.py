@@ -348,9 +348,9 @@ def print_filters(found: dict[str, Any]) -> None:
 
 def _print_effect(effect: dict[str, Any]) -> None:
     """Prints an effect of a diagnosis in the catalogue's words."""
-    from calrig.calibration.diagnosis import between_runs
     from calrig.calibration.effects import EFFECTS, covariate_of
     from calrig.calibration.regression import ORIGINS
+    from calrig.calibration.uncertainty import between_runs
 
     known, covariate = EFFECTS[effect["name"]], covariate_of(effect["covariate"])
     titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]

@@ -1,12 +1,17 @@
-"""The verdict of a result, and the limit that it is judged by."""
+"""The verdict on a result, the limit that it is tested against, and the figures that it follows from.
+
+`calrig.calibration.uncertainty.verdict` makes verdicts; `calrig.store.verdicts` finds runs by them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from pydantic import TypeAdapter
+from pydantic import BaseModel, ConfigDict, TypeAdapter
+
+from calrig.model.base import Model
 
 Answer = Literal["pass", "conditional_pass", "conditional_fail", "fail", "undecided"]
 Left = Literal["noise", "more_than_noise"]
@@ -15,19 +20,21 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What units are held against (CONTRACT section 2, `/api/limits`); None: nothing is asked of that.
+    """What a unit must comply with (CONTRACT section 2, `/api/limits`); None sets no limit on that figure.
 
     Attributes:
-        name: what people call it.
-        units: pattern of serial numbers, `*` and `?` as in file names, capitals as they stand.
+        name: title for users.
+        units: pattern of serial numbers, `*` and `?` as in file names, case-sensitive.
         rig: only results of this rig; None for all.
         max_error_deg: largest error of a calibrated elevation over the range.
-        bias_deg, scale: lowest and highest, as found.
-        rms_deg: RMS of what is left after everything accepted.
-        expanded_uncertainty_deg: largest expanded uncertainty.
-        rule: `simple` or `guarded`.
-        guard: w over U of the guarded rule.
+        bias_deg, scale: lowest and highest allowed value.
+        rms_deg: RMS of the residual after every accepted effect.
+        expanded_uncertainty_deg: largest allowed expanded uncertainty.
+        rule: decision rule, `simple` or `guarded`.
+        guard: guard band w over U of the guarded rule.
     """
+
+    __pydantic_config__: ClassVar[ConfigDict] = Model.model_config
 
     name: str
     units: str = "*"
@@ -42,22 +49,59 @@ class Limit:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Limit:
-        """Return the limit of a JSON object with these keys; keys that are not known are left out."""
+        """Return the limit of a JSON object with these keys; unknown keys are ignored."""
         return _LIMIT.validate_python(document)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the limit ready for JSON."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
-        }
+        document: dict[str, Any] = _LIMIT.dump_python(self, mode="json")
+        return document
 
     @property
     def rule_in_words(self) -> str:
-        """Such as `guarded rule, w = 1·U`."""
+        """Return the decision rule for a sentence, such as `guarded rule, w = 1·U`."""
         return "simple rule" if self.rule == "simple" else f"guarded rule, w = {self.guard:g}·U"
 
 
 _LIMIT = TypeAdapter(Limit)
+
+
+class Figures(BaseModel):
+    """What limits are tested on: a result's figures, each with its own expanded uncertainty.
+
+    None: not known, or these poses cannot decide it. The table `verdict_figures` has these columns.
+
+    Attributes:
+        largest_error_deg: largest error of a calibrated elevation over the range.
+        bias_deg: bias as found; None while the level is unknown, because the clamping may cause it.
+        scale: scale as found; None if all poses are at one elevation.
+        rms_deg: RMS of the residual after every accepted effect.
+        expanded_deg: expanded uncertainty of a calibrated elevation.
+    """
+
+    largest_error_deg: float | None = None
+    error_expanded_deg: float | None = None
+    bias_deg: float | None = None
+    bias_expanded_deg: float | None = None
+    scale: float | None = None
+    scale_expanded: float | None = None
+    rms_deg: float | None = None
+    rms_expanded_deg: float | None = None
+    expanded_deg: float | None = None
+
+
+class VerdictFigures(Figures):
+    """What `answer` and `left` of a run's verdict follow from, whatever the limits.
+
+    Attributes:
+        left: as in `Verdict`.
+        without: the answer to any limit if the result has no figures to test; else None.
+        relied_on: False if there is a doubt about the result (`calrig.calibration.uncertainty.doubts`).
+    """
+
+    left: Left | None
+    without: Answer | None
+    relied_on: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +109,16 @@ class Verdict:
     """CONTRACT section 2, "Verdict".
 
     Attributes:
-        answer: against the limits that match; `no_limits` where none do.
-        left: what is left after everything accepted; None where the noise is not known.
-        ratio: RMS of what is left over what noise alone would leave, 1 at best; None likewise.
-        says: the same in sentences, the answer first.
+        answer: conformity with the limit that matches; `no_limits` if none does.
+        left: residual after every accepted effect; None if the noise is unknown.
+        ratio: residual RMS over the one that noise alone predicts, 1 at best; None if the noise is unknown.
+        says: the verdict in sentences, the answer first.
         limit: name of the limit that was applied.
-        probability_of_conformity: that what the limit asks holds of the true figures; None without a limit,
-            and where it is not known.
-        probability_of_false_accept: of a pass, that it is wrong.
-        reliable: False where a person must look before anything is released; None in verdicts that were
-            issued before there was this word.
+        probability_of_conformity: that the true figures comply with the limit; None without a limit, and if
+            it is unknown.
+        probability_of_false_accept: that a pass is wrong; None for every other answer.
+        reliable: False if a person must decide before anything is released; None in verdicts that were
+            issued before this field existed.
     """
 
     answer: Answer | Literal["no_limits"]

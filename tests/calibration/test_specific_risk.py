@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm, t
 
-from calrig.calibration.uncertainty.budget import RangeErrors, Reference
-from calrig.calibration.uncertainty.conformity import Limit, probability_of_conformity
+from calrig.calibration.uncertainty.risk import probability_of_conformity
+from calrig.model.result import RangeErrors, Reference
+from calrig.model.verdict import Limit
 
 NODES_DEG = tuple(range(-60, 61, 10))
 
