@@ -241,6 +241,8 @@ def requires(role: Role) -> Any:
     return Depends(check)
 
 
+CLOSE = {"Connection": "close"}
+"""Headers of a refusal: the connection is closed after it."""
 PLACE_KEY = "calrig_place"
 """Where a request's state holds the place of its connection."""
 
@@ -253,9 +255,9 @@ class Standing(Enum):
     KNOWN = "has shown the token, or a session begun with it"
 
 
-@dataclass
+@dataclass(eq=False)
 class Place:
-    """One connection's."""
+    """Trust level of one connection."""
 
     standing: Standing = Standing.STRANGER
 

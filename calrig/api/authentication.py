@@ -26,6 +26,7 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from calrig.api.access import (
     ANYBODY,
+    CLOSE,
     Access,
     Caller,
     People,
@@ -36,7 +37,6 @@ from calrig.api.access import (
     network_of,
     place_of,
 )
-from calrig.api.lingering import CLOSE
 from calrig.store.users import User, token_digest
 
 SESSION_S = 12 * 3600.0

@@ -20,11 +20,10 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from calrig.api.access import Who, address_of, is_loopback, requires
+from calrig.api.access import CLOSE, Who, address_of, is_loopback, requires
 from calrig.api.body_limits import ENROLL_PATH, LOGIN_BYTES
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.lingering import CLOSE
 from calrig.api.models import Answer, Body
 from calrig.api.origin_check import HARMLESS
 from calrig.store.enrolment import WrongCode

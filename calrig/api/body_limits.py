@@ -21,8 +21,8 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from calrig.api.access import CLOSE
 from calrig.api.errors import no_room
-from calrig.api.lingering import CLOSE
 
 JSON_BYTES = 1_000_000
 LOGIN_BYTES = 10_000

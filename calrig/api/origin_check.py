@@ -19,9 +19,8 @@ from starlette.requests import HTTPConnection
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from calrig.api.access import Access, address_in, address_of, caller_of, is_loopback
+from calrig.api.access import CLOSE, Access, address_in, address_of, caller_of, is_loopback
 from calrig.api.authentication import Authentication
-from calrig.api.lingering import CLOSE
 
 OPEN = frozenset({"/", "/api/health", "/api/login", "/api/benches/enroll"})
 OPEN_FOLDERS = ("/web/",)

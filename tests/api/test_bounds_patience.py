@@ -12,7 +12,7 @@ import pytest
 from raw_http import connected, everything, has_hung_up, head
 from support import LONG, running_service, serving, wait_for
 
-from calrig.api import body_limits, server
+from calrig.api import body_limits, connections
 
 CROWD = 200
 PATIENCE_S = 0.4
@@ -23,7 +23,7 @@ def hurried(rig, tmp_path_factory):
     """A client of a service whose patience with a request that it has begun to hear is short."""
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         for name in ("REST_S", "UNREAD_S"):
-            patch.setattr(server, name, PATIENCE_S)
+            patch.setattr(connections, name, PATIENCE_S)
         patch.setattr(body_limits, "GRACE_S", PATIENCE_S)
         path = tmp_path_factory.mktemp("hurried") / "calrig.db"
         yield stack.enter_context(serving(stack.enter_context(running_service(path, rig))))
@@ -47,7 +47,7 @@ def dribble(one, text):
 
 
 def test_a_head_that_comes_a_byte_at_a_time_is_408(hurried, monkeypatch):
-    monkeypatch.setattr(server, "HEAD_S", PATIENCE_S)
+    monkeypatch.setattr(connections, "HEAD_S", PATIENCE_S)
     with connected(hurried) as one:
         dribble(one, b"GET /api/health HTTP/1.1\r\nX-Slow: " + b"x" * 10_000)
         answer = everything(one)
@@ -56,7 +56,7 @@ def test_a_head_that_comes_a_byte_at_a_time_is_408(hurried, monkeypatch):
 
 
 def test_a_connection_that_asks_for_nothing_is_closed(hurried, monkeypatch):
-    monkeypatch.setattr(server, "HEAD_S", PATIENCE_S)
+    monkeypatch.setattr(connections, "HEAD_S", PATIENCE_S)
     with connected(hurried) as one:
         assert everything(one) == b""
 
@@ -87,8 +87,8 @@ def test_a_client_that_does_not_read_its_answers_is_cut_off(hurried):
 
 
 def test_clients_that_together_leave_too_much_unread_are_cut_off_before_their_time(hurried, monkeypatch):
-    monkeypatch.setattr(server, "UNREAD_S", 60.0)
-    monkeypatch.setattr(server, "UNREAD_BYTES", 500_000)
+    monkeypatch.setattr(connections, "UNREAD_S", 60.0)
+    monkeypatch.setattr(connections, "UNREAD_BYTES", 500_000)
     with ExitStack() as stack:
         crowd = [stack.enter_context(connected(hurried, small_window=True)) for _ in range(20)]
         for one in crowd:
@@ -103,7 +103,7 @@ def test_a_crowd_who_dawdle_keep_nobody_waiting(hurried, monkeypatch, crowd_of):
 
     The service is patient with them for longer than the client that asks meanwhile is with the service.
     """
-    for module, name in ((server, "HEAD_S"), (server, "UNREAD_S"), (body_limits, "GRACE_S")):
+    for module, name in ((connections, "HEAD_S"), (connections, "UNREAD_S"), (body_limits, "GRACE_S")):
         monkeypatch.setattr(module, name, 100.0)
     before = threading.active_count()
     began = hurried.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
@@ -131,9 +131,9 @@ def test_a_crowd_who_dawdle_keep_nobody_waiting(hurried, monkeypatch, crowd_of):
 
 
 def test_beyond_the_most_connections_one_that_asks_for_nothing_makes_room(hurried, monkeypatch):
-    monkeypatch.setattr(server, "MOST", 20)
-    monkeypatch.setattr(server, "FOR_NEWCOMERS", 5)
-    monkeypatch.setattr(server, "HEAD_S", 60.0)
+    monkeypatch.setattr(connections, "MOST", 20)
+    monkeypatch.setattr(connections, "FOR_NEWCOMERS", 5)
+    monkeypatch.setattr(connections, "HEAD_S", 60.0)
     with ExitStack() as stack:
         idle = [stack.enter_context(connected(hurried)) for _ in range(60)]
         # Not by the shared client: its connection, idle since the last test, may be the one to make room.
