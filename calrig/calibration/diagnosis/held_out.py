@@ -29,7 +29,8 @@ import numpy.typing as npt
 from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, rebuilt
 from calrig.calibration.diagnosis.experiment_design import predicted
-from calrig.calibration.diagnosis.selection import Findings, Rivals, search
+from calrig.calibration.diagnosis.reselection import Rivals
+from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.line import rms
