@@ -1,9 +1,8 @@
-"""How much more than it should noise alone leaves: the one bound for runs, revisions and diagnoses.
+"""Grade a diagnosis: effects count only where the error on held-out poses decreases with them.
 
-Whether a diagnosis is good news: names count only where the error on held-out poses falls with them.
-
-Held-out poses lie between the others, and in blocks of their own: the claim rests on those that the effects
-help less. Noise is called so only where the pure error allows it.
+Of the interleaved folds and the contiguous blocks, those count that the effects help less. A residual is
+called noise only where the pure error allows it; `upper_limit` is the one bound of a residual over its noise
+for runs, revisions and diagnoses.
 """
 
 from __future__ import annotations
