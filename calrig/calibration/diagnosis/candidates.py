@@ -1,4 +1,4 @@
-"""Candidate effects of given poses, their columns in a model, and a selected effect rebuilt in other poses."""
+"""Candidate effects of given poses, their columns in a model, and an effect rebuilt in other poses."""
 
 from __future__ import annotations
 
