@@ -1,9 +1,4 @@
-"""Define a pose, one dwell at one elevation, and check its columns (CONTRACT section 4).
-
-A pose: one dwell at one elevation, with the columns of CONTRACT section 4 in their order.
-
-Columns of poses as a diagnosis takes them: what is missing, what says nothing, what cannot be meant.
-"""
+"""A pose (one dwell at one elevation), its columns (CONTRACT section 4), and what a diagnosis asks of them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Angles in degrees: where a turn ends, and the elevation that gravity gives.
-
-How far values spread, whatever a few of them do.
-"""
+"""Angles in degrees: wrapping, the elevation that gravity gives, and a robust standard deviation."""
 
 from __future__ import annotations
 

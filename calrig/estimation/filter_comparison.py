@@ -1,9 +1,4 @@
-"""The filters that are compared: the paper's smoothers and Kalman filter, and the Kalman filter tuned.
-
-Jitter in bins of 100 ms: how much an angle trembles while nothing turns.
-
-The paper's filters and the tuned one side by side on one log: jitter at rest, lag and offset in moves.
-"""
+"""Compare the paper's smoothers and Kalman filter with the tuned one: jitter at rest, lag in moves."""
 
 from __future__ import annotations
 

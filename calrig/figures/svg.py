@@ -1,9 +1,7 @@
-"""A figure of points as SVG, for paper: of plotly's JSON, what the figures of this package use of it.
+"""Draw a figure of points as SVG for paper, from the part of plotly's JSON that calrig's figures use.
 
-Nothing here needs a browser. Markers against one x axis and any number of y axes one above the other, axes
-with ticks, titles, annotations and a legend; a figure with anything else is refused.
-
-A picture of what is left of each pose, one band a step: as it came, calibrated, effect after effect.
+No browser is needed. Supported are markers against one x axis and any number of stacked y axes, with ticks,
+titles, annotations and a legend; any other figure is refused.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Overlapping Allan deviation of sampled values, with confidence limits.
+"""Overlapping Allan deviation with confidence limits, and the theory of its size and scatter.
 
 The Allan variance at τ = m·τ₀ is half the mean square of the difference between neighbouring averages of m
 samples, taken at every place where the two fit (NIST SP 1065, equation 11; IEEE Std 952-1997, annex C). With
@@ -6,21 +6,16 @@ the phase x, the running sum of the N samples from x₀ = 0,
 
     σ²(m·τ₀) = 1/(2·m²·(N + 1 − 2m)) · Σ (x[i+2m] − 2·x[i+m] + x[i])²     i = 0 … N − 2m
 
-Over gaps the sum runs over the segments, and the number of differences that lie wholly within one stands in
-place of N + 1 − 2m; none reaches across a gap, so τ ends at half the longest segment.
+No difference reaches across a gap: the sum runs over the segments, their number of differences replaces
+N + 1 − 2m, and τ ends at half the longest segment. The limits follow from edf·σ̂²/σ² being chi-square
+distributed (SP 1065, equations 45 and 46), with the degrees of freedom edf of the kind of noise at that τ
+(table 5), added up over the segments. The paper's equation 4 divides by 2s − 1 instead of the number of
+differences; this module follows the standard.
 
-Its limits follow from edf·σ̂²/σ² being chi-square distributed (SP 1065, equations 45 and 46), with the degrees
-of freedom edf of the kind of noise at that τ (table 5), added up over the segments.
-
-The paper's equation 4 divides by 2s − 1, which is not the number of these differences; the standard divides
-by that number, and so does this.
-
-What theory says of an overlapping Allan variance: its size for each kind of noise, and how it scatters.
-
-Values at neighbouring τ rest on the same samples, so they err together. The differences at a factor m are
-the samples passed through a filter; with G_i(ν) their spectrum, ν in cycles a sample, the covariance of two
-values is ∫ G_i·G_j dν from 0 to 1/2 over the number of differences (mean squares of Gaussian series: Percival
-& Walden, Wavelet Methods for Time Series Analysis, 2000, section 8.3).
+Values at neighbouring τ rest on the same samples, so they err together. The differences at a factor m are the
+samples passed through a filter of spectrum G_i(ν), ν in cycles a sample; the covariance of two values is
+∫ G_i·G_j dν from 0 to 1/2 over the number of differences (Percival & Walden, Wavelet Methods for Time Series
+Analysis, 2000, section 8.3).
 """
 
 from __future__ import annotations

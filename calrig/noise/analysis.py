@@ -1,9 +1,4 @@
-"""Whether a log is of a sensor at rest: gravity keeps its direction in one that is.
-
-The noise of a channel in one word (CONTRACT section 7).
-
-A static log → all that is said of the noise of its channels, one channel after the other.
-"""
+"""Analyse a static log: the noise of each channel, its colour, and whether the sensor was at rest."""
 
 from __future__ import annotations
 

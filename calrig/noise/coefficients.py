@@ -1,15 +1,13 @@
-"""Which kinds of noise an Allan curve asks for, how much of each, and whether the log has a ramp.
-
-Noise leaves a curve and, at its end, a slope in the log; it has to explain the curve without that slope, and
-the slope too unless a ramp does. The variances at octaves of τ are compared on cube roots, which makes a
-chi-square variable all but Gaussian even at the few degrees of freedom of a long τ (Wilson & Hilferty, PNAS
-17, 1931), with the covariance that theory gives them. Every combination of kinds is tried, with a ramp and
-without; each term must be worth its price.
-
-The noise coefficients of IEEE Std 952-1997 from an Allan curve, no more of them than it asks for.
+"""The noise coefficients of IEEE Std 952-1997 from an Allan curve, and no more of them than it supports.
 
 σ²(τ) = 3Q²/τ² + N²/τ + (2/π)·ln 2·B² + K²τ/3 + R²τ²/2 (annex C; the paper's Table 1). The paper's equation 3
-places π otherwise; as here, the flicker's floor is 0.664·B, which is what the standard and data sheets mean.
+places π otherwise; here the flicker's floor is 0.664·B, as in the standard and in data sheets.
+
+Noise leaves a curve and, at its end, a slope in the log. It has to explain the curve without that slope, and
+the slope too unless a ramp does. The variances at octaves of τ are compared on cube roots, which makes a
+chi-square variable nearly Gaussian even at the few degrees of freedom of a long τ (Wilson & Hilferty, PNAS
+17, 1931), with the covariance that theory gives. Every combination of kinds is fitted, with and without a
+ramp; each term must be worth its price.
 """
 
 from __future__ import annotations

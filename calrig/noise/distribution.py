@@ -1,12 +1,9 @@
-"""How many independent samples correlated ones are worth.
+"""The distribution of a channel's values: moments, histogram, normality and outliers.
 
-How a channel's values are distributed: moments, histogram, whether a Gaussian fits, outliers.
-
-Samples that are correlated tell less of the shape than as many independent ones. Of n samples with
-autocorrelation ρ(j) the third moment is worth n/Σρ³ and the fourth n/Σρ⁴ independent ones (Lobato & Velasco,
-Econometric Theory 20, 2004); with these numbers D'Agostino's test of skewness and Anscombe and Glynn's of
-kurtosis are made, and put together as D'Agostino and Pearson do (Biometrika 60, 1973). Values that come in
-steps are compared with a Gaussian rounded to these steps, whose moments are not a Gaussian's.
+Of n samples with autocorrelation ρ(j) the third moment is worth n/Σρ³ and the fourth n/Σρ⁴ independent ones
+(Lobato & Velasco, Econometric Theory 20, 2004). With these numbers D'Agostino's test of skewness and Anscombe
+and Glynn's of kurtosis are combined as by D'Agostino and Pearson (Biometrika 60, 1973). Quantised values are
+compared with a Gaussian rounded to the same steps.
 """
 
 from __future__ import annotations

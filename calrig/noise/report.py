@@ -1,7 +1,4 @@
-"""What the noise of a unit is, in sentences for the person who holds it.
-
-CONTRACT section 7's document of a unit's noise.
-"""
+"""The document of a unit's noise (CONTRACT section 7), with its summary in sentences."""
 
 from __future__ import annotations
 

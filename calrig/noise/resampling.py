@@ -1,13 +1,9 @@
-"""Time stamps as a log has them → which place on a uniform grid each sample has.
+"""Place the samples of a log on a uniform grid, in segments without a gap.
 
-A sensor takes its samples evenly; what stamps them afterwards does not. Where the time that passed agrees
-with the number of samples, jitter and clumps are the stamps' and not the samples'. Where stamps step ahead
-and stay ahead, samples are missing.
-
-A log as it came → uniformly spaced samples, in segments without a gap, and what was done to get there.
-
-No sample is interpolated, since that colours the noise. Only where a few are missing here and there is a
-straight line drawn over them, so that the log stays in one piece.
+A sensor samples evenly; the time stamps are not even. Where the elapsed time agrees with the number of
+samples, jitter and clumps are those of the stamps. Where stamps step ahead and stay ahead, samples are
+missing. No sample is interpolated, since that colours the noise; only a few isolated missing ones are bridged
+by a straight line, so that the log stays in one piece.
 """
 
 from __future__ import annotations

@@ -1,24 +1,16 @@
-"""Peaks of a periodogram: where they may lie, and how far they stand out of the noise around them.
-
-A log on one uniform grid, gaps and all: its periodogram, and sinusoids measured and taken out of it.
-
-In gaps lies the slow course of the log, so that a drift makes no comb of them, and the
-ends are tapered (Tukey's window; Harris, Proc. IEEE 66, 1978), so that a drift leaks into few bins. That
-costs 4 % of a sinusoid's power against the noise, where Hann's window costs 33 %.
-
-Steady sinusoids that stand out of the noise of a log, found and taken out one after the other.
-
-Spectral lines: tones that stand out of the noise around them, whatever its colour.
+"""Spectral lines of a log: tones that exceed the noise around them, whatever its colour.
 
 The periodogram of the whole log is compared, bin by bin, with a smooth local background that is fitted on a
 double logarithmic scale to the bins around (Whittle's likelihood, a gamma regression). Noise is exponential
-about that background, so a peak's p-value is the upper tail of F with the freedom of bin and background. It
-is corrected for the number of bins, and for a maximum over all frequencies instead of bins, W·√z·e^(−z)
-(Baluev, MNRAS 385, 2008). The strongest are measured, taken out of the samples, and the search begins anew:
-so sidelobes, be they of the ends or of gaps, are not taken for lines. A tone that wanders fills several bins
-and is looked for in what is left, in means over 8, 64, … bins.
+about that background, so a peak's p-value is the upper tail of F with the freedom of bin and background,
+corrected for the number of bins and for a maximum over all frequencies, W·√z·e^(−z) (Baluev, MNRAS 385,
+2008). The strongest sinusoids are measured and subtracted from the samples, and the search is repeated, so
+that sidelobes of the ends or of gaps are not taken for lines. A tone that wanders fills several bins: it is
+searched for in the remainder, in means over 8, 64, … bins. A peak over ten bins or more is a resonance.
 
-A peak is a line only if it is narrow: noise that peaks over ten bins or more is a resonance.
+The log lies on one uniform grid, gaps included. Gaps are filled with the slow course of the log, so that a
+drift makes no comb of them. The ends are tapered (Tukey's window; Harris, Proc. IEEE 66, 1978), which costs
+4 % of a sinusoid's power against the noise; Hann's window costs 33 %.
 """
 
 from __future__ import annotations

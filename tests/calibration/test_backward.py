@@ -8,7 +8,7 @@ from posed import posed
 
 from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, candidate_of, candidates_of
-from calrig.calibration.diagnosis.selection import parted, tenable
+from calrig.calibration.diagnosis.reselection import eliminated, is_admissible
 from calrig.calibration.effects import effect_of
 from calrig.calibration.regression.responses import Responses, responses_of
 
@@ -35,7 +35,7 @@ def one(r: Responses, name: str, form: str = "") -> Candidate:
 def labels_of(r: Responses, *names: str) -> tuple[list[str], list[str]]:
     """Names kept and dropped of a model that they entered in this order."""
     found = [SelectedEffect(one(r, name), (), 0.001, np.inf) for name in names]
-    kept, dropped = parted(r, found)
+    kept, dropped = eliminated(r, found)
     return [f.candidate.label for f in kept], dropped
 
 
@@ -66,9 +66,9 @@ def waves(r: Responses, *periods_deg: float) -> list[Candidate]:
 
 def test_two_waves_that_cancel_are_refused_and_two_that_are_there_are_not() -> None:
     r = run_of(1e-5 * THETA_DEG**3)
-    assert not tenable(r, waves(r, 150.0, 165.0))
+    assert not is_admissible(r, waves(r, 150.0, 165.0))
     both = run_of(0.1 * np.sin(np.radians(8.0 * THETA_DEG)) + 0.1 * np.sin(np.radians(20.0 * THETA_DEG)))
-    assert tenable(both, waves(both, 45.0, 18.0))
+    assert is_admissible(both, waves(both, 45.0, 18.0))
 
 
 @pytest.mark.parametrize(
@@ -89,4 +89,4 @@ def test_what_no_sensor_and_no_stage_can_have_is_refused(
     theta = np.radians(THETA_DEG)
     shapes = {"stage_eccentricity": np.sin(theta), "axis_mismatch": np.sin(2.0 * theta)}
     r = run_of(size_deg * shapes.get(name, np.cos(theta)))
-    assert tenable(r, [one(r, name, form)]) is is_possible
+    assert is_admissible(r, [one(r, name, form)]) is is_possible

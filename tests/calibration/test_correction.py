@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calrig.calibration.effects import CATALOGUE
+from calrig.calibration.effects import CATALOGUE, EFFECTS
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.effect import ApplyError, Circumstances
 from calrig.calibration.regression.responses import responses_of
@@ -113,7 +113,7 @@ def poses_with_everything():
             t + e,
             approach=int(np.sign(m)) or 1,
             time_s=10.0 * k,
-            temperature_c=20 + k / 9,
+            temperature_c=20 + k**2 / 360,
             gyro_move_deg=m + e,
             accel_x_g=0.02 + 0.01 * math.cos(math.radians(t)) + 1e-4 * e,
             accel_y_g=math.sin(math.radians(t + e)),
@@ -156,6 +156,15 @@ def test_formulas_agree_with_the_columns_that_the_search_fits(effect):
     added_deg = effects_on_reading_deg([(effect.name, parameters)], r.theta_deg, given_here)
 
     np.testing.assert_allclose(added_deg, column, atol=3e-6)
+
+
+def test_the_square_of_temperature_is_about_where_it_says_nothing_of_the_linear_coefficient():
+    """Of a lopsided warm-up: a straight line through the column against temperature is level."""
+    r = responses_of([poses_with_everything()])
+    (shape,) = EFFECTS["temperature_curvature"].forms(r, {})
+    column = shape.shares["reading"]
+    assert np.polyfit(r.temperature_c, column, 1)[0] == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(column, (r.temperature_c - shape.at["reference_c"]) ** 2, atol=1e-9)
 
 
 @settings(max_examples=100, deadline=None)

@@ -8,7 +8,8 @@ from studies.blind.cells import CELLS
 
 from calrig.calibration.diagnosis.candidate_fits import fit_candidates
 from calrig.calibration.diagnosis.candidates import candidates_of, model_columns
-from calrig.calibration.diagnosis.selection import competing_candidates, near_among, search
+from calrig.calibration.diagnosis.reselection import competing_candidates, near_among
+from calrig.calibration.diagnosis.selection import search
 from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import responses_of
 

@@ -11,6 +11,7 @@ from studies.blind.layout import timeline
 from studies.blind.physics import Cause, Noise, measure
 
 from calrig.calibration.move_check import GYRO_WANDER_DPS, MoveWatch, gyro_move_std_deg
+from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 
 PLANS = {
@@ -203,3 +204,78 @@ def test_a_step_of_the_rate_between_two_samples_is_unknown_by_a_rectangular_erro
     error_deg = 60.0 * (0.1 - at_s) - 60.0 * 0.1 / 2.0
     stated_deg = gyro_move_std_deg(np.array([0.0, 0.1]), np.array([0.0, 60.0]), 0.0, 2.0)
     assert stated_deg == pytest.approx(error_deg.std(), rel=0.01)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("lost_deg", "verdict"), [(1.7, "mismatch"), (-1.7, "mismatch"), (2.4, "lost")])
+def test_one_loss_ends_a_run_from_two_degrees_on(seed, lost_deg, verdict):
+    """After twelve poses of a stage and a unit without errors but their noise."""
+    rng = np.random.default_rng([seed, 12])
+    cause = losing(lost_deg, 12, timeline(BACK_AND_FORTH))
+    checks = judged(measure(BACK_AND_FORTH, [cause], Noise(), rng).poses[:13])
+    assert checks[-1].verdict == verdict
+    assert checks[-1].difference_deg == pytest.approx(lost_deg, abs=0.3)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_backlash_is_learned_from_two_reversals_and_predicted_at_the_next(seed):
+    """Of 0.7°: the first reversal shows all of it, later ones nothing, neither up nor down."""
+    rng = np.random.default_rng([seed, 13])
+    stage = Cause("none", "", "", {"mechanics": {"backlash_deg": 0.7}})
+    poses = measure(LONGER, [stage], Noise(), rng).poses
+    checks = judged(poses)
+    reversals = [k for k in range(1, len(poses)) if poses[k].approach == -poses[k - 1].approach]
+    first, *later = (checks[k - len(poses) + len(checks)].difference_deg for k in reversals)
+    assert abs(first) == pytest.approx(0.7, abs=0.2)
+    assert later[1:] == pytest.approx([0.0] * len(later[1:]), abs=0.15)
+
+
+def test_an_unknown_backlash_widens_the_first_reversal_by_its_rectangular_prior():
+    """A play of up to ±0.75° turns all of it at a reversal; it adds to both witnesses alike (GUM 4.3.7)."""
+    variances = []
+    for approach in (1, -1):
+        watch = MoveWatch()
+        watch.take(Pose(20.0, 20.0, approach=1, gyro_move_deg=20.0), 20.0)
+        check = watch.take(Pose(10.0, 10.0, approach=approach, gyro_move_deg=-10.0), -10.0)
+        variances.append(check.std_deg**2)
+    assert variances[1] - variances[0] == pytest.approx(0.75**2 / 3.0)
+
+
+def differences_deg(theta_deg, reading_deg, gyro_deg, *, with_gravity):
+    """What a watch leaves unexplained of each move but the first, of a board that sends its own angle."""
+    watch, left, last_deg = MoveWatch(), [], 0.0
+    for theta, reading, felt in zip(theta_deg, reading_deg, gyro_deg, strict=True):
+        if not with_gravity:
+            watch.touched()
+        check = watch.take(Pose(theta, reading, stage_deg=theta, gyro_move_deg=felt), theta - last_deg)
+        last_deg = theta
+        left.append(check.difference_deg)
+    return np.array(left[1:])
+
+
+def test_a_share_of_each_move_that_has_not_settled_is_learned():
+    """An exact stage and gyro; each reading lacks 5 % of the move into its pose."""
+    theta_deg = np.random.default_rng(14).uniform(-50.0, 50.0, 16)
+    move_deg = np.diff(theta_deg, prepend=0.0)
+    left_deg = differences_deg(theta_deg, theta_deg - 0.05 * move_deg, move_deg, with_gravity=True)
+    np.testing.assert_allclose(left_deg[-5:], 0.0, atol=0.03)
+
+
+def test_an_eccentric_stage_is_learned_from_the_gyro_alone():
+    """The table stands at θ + 0.8°·sin θ where the stage says θ."""
+    theta_deg = np.random.default_rng(15).uniform(-90.0, 90.0, 16)
+    table_deg = theta_deg + 0.8 * np.sin(np.radians(theta_deg))
+    felt_deg = np.diff(table_deg, prepend=0.0)
+    left_deg = differences_deg(theta_deg, table_deg, felt_deg, with_gravity=False)
+    np.testing.assert_allclose(left_deg[-5:], 0.0, atol=0.1)
+
+
+def test_what_both_witnesses_share_does_not_hide_that_they_contradict_each_other():
+    """At the first reversal the backlash is unknown to both; the gyro is off by 0.8°, gravity is not."""
+    watch = MoveWatch()
+    moves = [(5.0, 1, 2.0, 2.0), (3.0, -1, -2.0, -1.2)]
+    for theta_deg, approach, turned_deg, gyro_deg in moves:
+        y, z = np.sin(np.radians(theta_deg)), np.cos(np.radians(theta_deg))
+        pose = Pose(theta_deg, theta_deg, approach=approach, gyro_move_deg=gyro_deg, accel_y_g=y, accel_z_g=z)
+        check = watch.take(pose, turned_deg)
+    assert check.difference_deg == pytest.approx(0.0, abs=0.02)

@@ -1,20 +1,10 @@
 """Fit candidate effects, linear and nonlinear, in addition to a model, and rank them.
 
-Fits of the same responses with one model and each of many candidates beside it.
-
-As `noise_model.fits` of all these models, without their common columns once for each: those are made
-orthonormal once, a candidate's once beside them (Frisch & Waugh, Econometrica 1, 1933), and what a noise
-weighs in every further step are products of columns that need no pose any more (`repeated_steps`).
-
-Fits of candidates beside what is in the model already, through atan2 where they bend (`sensor_model`).
-
-Places that no coefficient gives, such as a period: refined by the likelihood, with their standard errors.
-
-Gauss-Newton: the model's change with the place, at the coefficients fitted, is one more column; its
-coefficient is the step to take, and its variance the place's (Seber & Wild, Nonlinear Regression, 1989,
-section 2.1).
-
-The ranking: which candidate explains the poses best, and which others come too close to it to tell.
+The columns of the model are made orthonormal once for all candidates, those of a candidate once after them
+(Frisch & Waugh, Econometrica 1, 1933); every further step weighs products of columns (`RepeatedSteps`). A
+nonlinear parameter such as a period is refined by Gauss-Newton steps: the derivative of the model by it is
+one more column, its coefficient the step and its variance the parameter's (Seber & Wild, Nonlinear
+Regression, 1989, section 2.1).
 """
 
 from __future__ import annotations

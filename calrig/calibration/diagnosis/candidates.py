@@ -1,7 +1,4 @@
-"""Everything a search considers for given poses, and how a found effect is rebuilt in any poses.
-
-The model: bias, scale and the effects accepted so far, as columns of one regression.
-"""
+"""Candidate effects of given poses, their columns in a model, and an effect rebuilt in other poses."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""The run that best separates what a diagnosis could not, pose by pose by expected gain in likelihood.
+"""Design the follow-up run that separates competing effects best, and decide between them pose by pose.
 
-Deciding between suspects while poses come in: Wald's sequential probability ratio test.
+Poses are chosen by their expected gain in likelihood; the decision is Wald's sequential probability ratio
+test.
 """
 
 from __future__ import annotations

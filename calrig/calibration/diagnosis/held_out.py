@@ -1,19 +1,10 @@
-"""Error before and after on poses that neither search nor fit had seen.
+"""Error before and after correction on held-out poses: cross-validation, contiguous blocks, a fresh run.
 
-Either folds of the same runs, search and fit repeated for each (cross-validation), or poses of a fresh run
-that did not serve to decide (confirmation).
-
-Held-out poses that lie apart: contiguous blocks in time, and in angle.
-
-Held-out poses between the others are interpolation: a curve of time predicts them that says nothing of the
-next hour (Roberts et al., Ecography 40, 2017). A block of neighbours left out asks more. What was found
-in all poses is fitted again without each block; only bias, scale and the effects' coefficients are, so names
-and places are those of a search that had seen the block. The interleaved folds repeat the search.
-
-Names that stand without any one pose: what a single pose decides, these poses do not tell.
-
-At a turning point one pose may be all that tells settling from backlash, and it is the pose where a stage
-behaves least like itself.
+Interleaved folds repeat search and fit, but their poses lie between the others: a curve of time predicts them
+and says nothing of the next hour (Roberts et al., Ecography 40, 2017). Blocks that are contiguous in time or
+angle ask more; only bias, scale and the effects' coefficients are fitted again without each. Poses of a fresh
+run that did not decide confirm. Last, a name must not rest on a single pose: at a turning point one pose may
+be all that separates settling from backlash.
 """
 
 from __future__ import annotations
@@ -29,7 +20,8 @@ import numpy.typing as npt
 from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, rebuilt
 from calrig.calibration.diagnosis.experiment_design import predicted
-from calrig.calibration.diagnosis.selection import Findings, Rivals, search
+from calrig.calibration.diagnosis.reselection import Rivals
+from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.line import rms

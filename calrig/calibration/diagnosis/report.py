@@ -1,18 +1,14 @@
-"""Standard errors that know that the noise was estimated from the same poses.
+"""Report the effects of a diagnosis: parameters with standard errors, evidence and partial residuals.
 
-Generalised least squares states what the coefficients would scatter by, were the noise known. Its
-correlations are not: estimated from 100 poses they differ from channel to channel by chance, the fit leans on
-those that look quiet, and the stated errors are too small by 10 to 30 % (Kackar & Harville, Journal of the
-American Statistical Association 79, 1984). By how much, refits tell, of noise drawn from the model that was
-found (the parametric bootstrap: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, section 6.5).
+Generalised least squares states the standard errors for known noise. The correlations of the noise are
+estimated from the same poses, and the fit leans on the channels that look quiet, so that stated errors are
+too small by 10 to 30 % (Kackar & Harville, Journal of the American Statistical Association 79, 1984). Refits
+of noise drawn from the final model give the factor (parametric bootstrap: Efron & Tibshirani, An Introduction
+to the Bootstrap, 1993, section 6.5).
 
-Findings in words and numbers: CONTRACT section 5's `effects`.
-
-Partial residuals: what is left of the readings for one effect once everything else is taken out.
-
-With reading − θ = base + Σ effects + e, the partial residual of effect k is its own fitted part plus e
-(Larsen & McCleary, Technometrics 14, 1972): drawn against its covariate, with the fitted part through it, it
-shows how good a description that effect is, and where it is not.
+With reading − θ = base + Σ effects + e, the partial residual of effect k is its fitted part plus e (Larsen &
+McCleary, Technometrics 14, 1972). Plotted against its covariate it shows where the effect describes the poses
+well, and where it does not.
 """
 
 from __future__ import annotations

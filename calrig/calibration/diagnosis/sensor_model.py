@@ -1,16 +1,10 @@
-"""What effects add that their columns do not say, each of its own coefficients alone.
+"""Fit the model through atan2 itself: the nonlinear part of effects on the sensor's axes and on the gyro.
 
-What the gyro's own gain makes of an effect: of a few per cent, it acts on all that the gyro feels.
-
-The base has the gain of the commanded moves. Moves that effects add to those are felt by the same gain: a
-slip of 20° as one of 20.1°, which no linear model has.
-
-The model fitted through atan2 itself: what errors of the sensor's axes do together, of any size.
-
-To first order an offset of 80 mg is wrong by 0.18°, by another 0.06° where the mount is 0.8° off level, and
-by 0.14° beside a gain of 3 %. Gauss and Newton's iteration (Björck, Numerical Methods for Least Squares
-Problems, 1996, section 9.2): columns linear about the parameters found, and responses less what is not linear
-there, so that search, ranking and report go on with a linear fit.
+An offset of 80 mg is 0.18° off to first order, another 0.06° where the mount is 0.8° off level, and 0.14°
+with a gain error of 3 %. The gyro's gain acts on moves that effects add as well: it measures a slip of 20° as
+20.1°. Gauss and Newton's iteration (Björck, Numerical Methods for Least Squares Problems, 1996, section 9.2)
+takes columns linear about the parameters found, and responses less their nonlinear part, so that search,
+ranking and report work with a linear fit.
 """
 
 from __future__ import annotations

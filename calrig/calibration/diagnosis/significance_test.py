@@ -1,30 +1,18 @@
-"""Family-wise significance test of a search: the bootstrap of its maximum.
-
-The best of each family of names against searches of noise: its p-value, and how sure that is by now.
-
-What noise gains beside a model, drawn once: a fold's search asks what the search of all poses has drawn.
-
-Three quarters of the poses with the same effects in the model are searched for the same names, and noise of
-the same correlation gains as much there. Where that leaves a decision open, the fold draws its own.
-
-Fits of many responses drawn from one noise: each with a model, and with a candidate beside it.
-
-The noise is known, so what a step of generalised least squares projects on is the same for all draws: the
-model's columns are made orthonormal once, a candidate's once beside them (Frisch & Waugh, Econometrica 1,
-1933). Where the noise is not strongly correlated, this one step leaves the criterion where four would.
-
-The gate: is the best of everything searched better than noise alone would make it?
+"""Family-wise significance test of a search: the bootstrap of the maximum gain over all candidates.
 
 Searching a catalogue and keeping what lowers a criterion finds an effect in pure noise in 19–45 % of cases.
-What holds its rate is the maximum over all candidates, hence a family-wise p-value, bootstrapped under the
-current model for these very poses. Beside an effect that others are declared to come with, these few are a
-family of their own: noise alone is not asked that.
+The maximum over all candidates holds its rate: its distribution is bootstrapped under the current model for
+these very poses. Candidates that are declared to accompany an effect in the model are a family of their own.
 
-The statistic is the gain of the best candidates in full likelihood, coefficients and noise fitted anew with
-each of them, less the penalties. The noise of the null alone would not do: a large effect is taken for a
-correlation of 0.95 between poses and for innovations with tails, and is as likely under those as under
-itself. So an alternative is judged by the noise that it leaves, and the bootstrap draws its innovations from
-there; their correlation stays the null's, for noise that wanders makes slow effects of itself.
+The statistic is the gain of the best candidates in full likelihood, coefficients and noise fitted again with
+each of them, less the penalties. With the noise of the null a large effect would be taken for a correlation
+of 0.95 between poses and for innovations with heavy tails. So a candidate is tested with the noise that it
+leaves, and the bootstrap draws its innovations from there; their correlation stays the null's, because slow
+noise looks like slow effects.
+
+The noise of the draws is known, so that one orthonormal set of columns serves all of them (Frisch & Waugh,
+Econometrica 1, 1933). The folds of a cross-validation reuse the null distribution of all poses, and draw
+their own only where it leaves a decision open.
 """
 
 from __future__ import annotations

@@ -25,7 +25,8 @@ from calrig.calibration.diagnosis.held_out import (
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
 from calrig.calibration.diagnosis.report import effect_documents, model_words
-from calrig.calibration.diagnosis.selection import Findings, competing_candidates, search
+from calrig.calibration.diagnosis.reselection import competing_candidates
+from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.line import fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, complete
 from calrig.calibration.progress import Progress, unheard, within

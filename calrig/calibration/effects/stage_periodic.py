@@ -1,10 +1,8 @@
-"""The spectral window of some angles: which two periods these angles show as one.
+"""A periodic error of a worm, a motor or a scale: one period, any or an order of the full turn.
 
-A wave of frequency f, taken at angles θ alone, is that of f ± p wherever |Σ exp(2πi·p·θ)|/n is near 1
-(Deeming, Astrophysics and Space Science 36, 1975). An exact grid has such p at every multiple of 1/step;
-jitter takes them away.
-
-A worm's, a motor's or a scale's error, one period each: any period, or an order of the full turn.
+Poses at angles θ show a wave of frequency f as one of f ± p wherever |Σ exp(2πi·p·θ)|/n is near 1 (spectral
+window: Deeming, Astrophysics and Space Science 36, 1975). An exact grid has such p at every multiple of
+1/step; jitter removes them.
 """
 
 from __future__ import annotations

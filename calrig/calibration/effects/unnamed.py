@@ -1,11 +1,8 @@
-"""The unit that a column carries in its name: `azimuth_deg`, `supply_v`, `warming_c_per_min`.
+"""Structure that no effect of the catalogue explains, against any column: smooth, kink, step, cycle in time.
 
-What a column that calrig has no physics for may act as: an angle, a rate, a delay, a factor.
-
-Structure that no catalogue entry explains, against any covariate: smooth, kink, step, cycle in time.
-
-A column that nobody knew is tried as what its name says that it is: an angle is a circle; where times are
-known its rate and its delay as well; the product of two columns once both are in the model.
+The unit at the end of a column's name (`azimuth_deg`, `supply_v`) says how it may act: an angle is a circle;
+where times are known, its rate and its delay are tried as well, and the product of two columns once both are
+in the model.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
-"""Define an effect: all that its consumers ask of it.
-
-The vector that an accelerometer makes of gravity, with the errors of its two axes across the stage's.
-
-At an elevation φ of the sensor itself a faultless one measures a_y = sin φ and a_z = cos φ (g). An error δ of
-a_y and ε of a_z turns the angle atan2(a_y, a_z) by atan2(δ·c − ε·s, 1 + δ·s + ε·c). Errors of several effects
-add up before they turn it: an offset of 80 mg beside a gain of 3 % is 0.14° off where each turns it alone.
-
-What an effect is: all there is to say of one, in the parts that every consumer asks for.
+"""Define an effect: everything that its consumers ask of it, and its part of the accelerometer's vector.
 
 An effect is one module of `calrig.calibration.effects`, which binds `EFFECT = Effect(...)`. Search, report,
 correction, C header, figures, the page and the rule of acceptance know no effect by name.
+
+At an elevation φ of the sensor itself a faultless one measures a_y = sin φ and a_z = cos φ (g). An error δ of
+a_y and ε of a_z turns the angle atan2(a_y, a_z) by atan2(δ·c − ε·s, 1 + δ·s + ε·c). Errors of several effects
+add up before they turn it: an offset of 80 mg with a gain error of 3 % is 0.14° off if each turns it alone.
 """
 
 from __future__ import annotations

@@ -1,22 +1,10 @@
 """Derive from the columns of poses how the stage moved between and during them.
 
-How the rig moved between and during the poses of one run, as far as their columns tell.
-
-The order of rows is a history only where a column says so: a table of angles sorted by angle was not measured
-as a sweep, and the step back across ±180° in it is no move.
-
-Play: how far a stage has come since it last turned, and what of its play is not taken up yet.
-
-A table that its motor moves with a play h between them stands still until the motor has come by h (the play
-operator: Visintin, Differential Models of Hysteresis, 1994, section III.2).
-
-How far the stage turned while a pose was read: in a dwell not at all, in a stretch by its length.
-
-A stretch is the mean over its way. What is a function of the elevation alone and bends little over 10° is
-there as in a dwell; a wave of period P keeps sin(πL/P)/(πL/P) of its amplitude over a way L, and may change
-its sign. The gyro's account goes from middle to middle and keeps the whole.
-
-What the filter still shows, in the dwell, of a gyro scale error over the move before it.
+The order of rows is a history only where a column says so: a table sorted by angle was not measured as a
+sweep, and the step across ±180° in it is no move. A table that its motor drives with a backlash h stands
+still until the motor has come by h (play operator: Visintin, Differential Models of Hysteresis, 1994, section
+III.2). A segment of a continuous sweep is the mean over its travel L: a wave of period P keeps the share
+sin(πL/P)/(πL/P) of its amplitude, while the gyro measures from middle to middle and keeps the whole.
 """
 
 from __future__ import annotations

@@ -1,24 +1,17 @@
-"""Sums of products of residuals, pose with itself and with the next: all that a noise model needs to know.
+"""The noise that responses share, its correlation from pose to pose, and a fit that allows for both.
+
+Noise that is correlated from pose to pose, or that witnesses share with the reading, invalidates a test that
+ignores it. One rotation undoes both: with Σ the residuals' covariance and Γ their symmetrised lag-1
+covariance, the generalised eigenvectors of Γv = ρΣv give channels that are uncorrelated with each other, now
+and one pose later, each a first-order autoregression of its own ρ (Tong, Liu, Soon & Huang, "Indeterminacy
+and identifiability of blind identification", IEEE Trans. CAS 38, 1991; Switzer & Green's maximum
+autocorrelation factors, 1984). One factor common to all channels and channels of one ρ are special cases.
 
 Innovations (e_t − ρ·e_{t−1})/√(1 − ρ²) of a rotated channel have the power A + (ρ²·Q − ρ·H)/(1 − ρ²), with A
 the sum of e_t², H that of 2·e_t·e_{t−1} and Q that of e_t² + e_{t−1}² over the poses that follow on another.
-So of n poses a J × J matrix of each is left, whatever the rotation and the correlations are.
-
-Noise that the responses share, its correlation from pose to pose, and a fit that allows for both.
-
-Noise that is correlated from pose to pose breaks a gate that does not know of it, and noise that witnesses
-share with the reading breaks one that treats each channel alone. Both are undone by one rotation: with Σ the
-residuals' covariance and Γ their symmetrised lag-1 covariance, the generalised eigenvectors of Γv = ρΣv give
-channels that are uncorrelated with each other, now and one pose later, each a first-order autoregression of
-its own ρ (Tong, Liu, Soon & Huang, "Indeterminacy and identifiability of blind identification", IEEE Trans.
-CAS 38, 1991; Switzer & Green's maximum autocorrelation factors, 1984). One factor common to all channels and
-channels of one common ρ are both special cases.
-
-Further steps of generalised least squares for many responses, the noise found anew before each.
-
-Coefficients and a strongly correlated noise agree slowly. Each response has a noise of its own by then, but
-whatever that is, it weighs the same lagged products of columns (`lagged_products`): those of the model's
-columns are made once for all responses, those of a candidate's once for all that it was fitted to.
+So a J × J matrix of each is all that a noise model needs (`LaggedProducts`). Where coefficients and strongly
+correlated noise agree slowly, further steps weigh the lagged products of columns, which are made once for
+many responses (`RepeatedSteps`).
 """
 
 from __future__ import annotations

@@ -21,7 +21,14 @@ from calrig.calibration.poses import (
     covariates_of,
     refuse_what_is_no_elevation,
 )
-from calrig.calibration.regression.channels import READING, BoolArray, Channels, add_witnesses, turn_size
+from calrig.calibration.regression.channels import (
+    ANGLE,
+    READING,
+    BoolArray,
+    Channels,
+    add_witnesses,
+    turn_size,
+)
 from calrig.calibration.regression.motion import (
     Motion,
     approach_of,
@@ -155,6 +162,21 @@ class Responses:
             if channel in self.channels:
                 stacked[:, self.channels.index(channel)] = share.reshape(len(self), width)
         return stacked * self.known[:, :, None]
+
+    def with_free(self, own: FloatArray, name: str) -> Responses:
+        """Return the responses with free columns (n, p) in the base of the reading and of the accel angle.
+
+        Args:
+            own: the columns.
+            name: of each in `base_names`, after the channel's.
+        """
+        seen, width = [channel for channel in (READING, ANGLE) if channel in self.channels], own.shape[1]
+        freed = np.zeros((len(self), len(self.channels), len(seen) * width))
+        for k, channel in enumerate(seen):
+            freed[:, self.channels.index(channel), k * width : (k + 1) * width] = own
+        names = (f"{channel}.{name}" for channel in seen for _ in range(width))
+        base = np.concatenate([self.base, freed], axis=2)
+        return replace(self, base=base, base_names=(*self.base_names, *names))
 
     def steps(self, f: FloatArray) -> FloatArray:
         """(n, …) change of f from the pose before, within a run: what the gyro sees of it."""

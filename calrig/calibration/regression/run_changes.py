@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.regression.channels import ANGLE, READING
 from calrig.calibration.regression.effect import TIME, Covariate, Effect, Shape
 from calrig.calibration.regression.responses import FEWEST_POSES, Change, Responses
 from calrig.estimation.angles import FloatArray
@@ -93,12 +92,5 @@ def is_level(r: Responses, columns: FloatArray) -> bool:
 
 def with_free_levels(r: Responses) -> Responses:
     """The responses with a bias for each run: whatever was done between them may have moved it."""
-    runs = range(1, len(r.run_ids))
-    names = [(name, run) for name in (READING, ANGLE) if name in r.channels for run in runs]
-    if not names:
-        return r
-    freed = np.zeros((len(r), len(r.channels), len(names)))
-    for place, (name, run) in enumerate(names):
-        freed[:, r.channels.index(name), place] = r.run >= run
-    base_names = (*r.base_names, *(f"{name}.level" for name, _ in names))
-    return replace(r, base=np.concatenate([r.base, freed], axis=2), base_names=base_names)
+    later = r.run[:, None] >= np.arange(1, len(r.run_ids))
+    return r.with_free(later.astype(np.float64), "level")

@@ -1,10 +1,8 @@
 """Terms that several effects share.
 
-Terms that several effects are made of.
-
-Angles in degrees, s and c sine and cosine of the elevation θ. The equations of the sensor's effects follow
-from turning the gravity vector in the sensor's frame, (0, s, c) at elevation θ = atan2(a_y, a_z): an error δ
-of a_y and ε of a_z turns the angle by δ·c − ε·s (rad) and lengthens the vector by δ·s + ε·c.
+Angles in degrees, s and c sine and cosine of the elevation θ. The sensor's effects turn the gravity vector in
+the sensor's frame, (0, s, c) at θ = atan2(a_y, a_z): an error δ of a_y and ε of a_z turns the angle by
+δ·c − ε·s (rad) and lengthens the vector by δ·s + ε·c.
 """
 
 from __future__ import annotations

@@ -1,14 +1,8 @@
-"""Apply a calibration: accepted effects and the line, to poses or as a document (CONTRACT section 6).
+"""Apply a calibration: what accepted effects add to a reading, and readings to calibrated elevations.
 
-Accepted effects applied: what each adds to a reading, and the elevation that a reading stands for.
-
-The formulas of CONTRACT section 5, exact where the search linearises them. What acts on the accelerometer's
-axes acts on one vector, at the elevation of the sensor itself: `sensor_vector`.
-
-A calibration document applied: readings to elevations, and what these are worth (CONTRACT section 6).
-
-The one place where a document becomes arithmetic: `calrig apply`, `calrig.load`, the C header and a
-verification take the effects from here and their formulas from `correction`.
+The formulas of CONTRACT section 5, exact where the search linearises them. Effects on the accelerometer's
+axes act on one vector, at the elevation of the sensor itself. `calrig apply`, `calrig.load`, the C header and
+a verification all take a document's arithmetic (CONTRACT section 6) from here.
 """
 
 from __future__ import annotations

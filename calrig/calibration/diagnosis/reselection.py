@@ -1,0 +1,286 @@
+"""Reselection and backward elimination: the effects of a model once another one has entered.
+
+Each effect is compared with its competitors again, with all others in the model; what is physically
+impossible together, or not needed any more, leaves. Forward steps alone keep what once helped: two curves of
+222° and 243° that cancel, an offset of 2.8 g against an eccentricity, a cycle of time that the angle has
+explained since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+
+from calrig.calibration.diagnosis.candidate_fits import SelectedEffect, named
+from calrig.calibration.diagnosis.candidates import Candidate, own_columns
+from calrig.calibration.diagnosis.screen import Screen
+from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.regression.channels import READING
+from calrig.calibration.regression.effect import HIDDEN, Parameters
+from calrig.calibration.regression.noise_model import Fit, stacked
+from calrig.calibration.regression.responses import Responses
+from calrig.estimation.angles import FloatArray
+
+HOPELESS = 80.0
+"""Difference of the criterion beyond which a candidate no longer competes with an effect of all poses; with a
+quarter of the poses left out, the same candidate is some 60 behind."""
+Rivals = Mapping[str, Collection[str]]
+"""Labels of competing candidates, by the label of the effect."""
+
+
+def competing_candidates(found: Sequence[SelectedEffect]) -> Rivals:
+    """Return the competing candidates of each selected effect: those within ΔBIC 80 of it on all poses.
+
+    All other selected effects are among them, singly and in pairs: until those enter, the effect may stand in
+    for them. A fold reconsiders an entered effect only against these.
+    """
+    labels = [f.candidate.label for f in found]
+    every = {*labels, *(" + ".join(two) for two in permutations(labels, 2))}
+    return {
+        f.candidate.label: every.union(label for label, behind in f.considered if behind < HOPELESS)
+        for f in found
+    }
+
+
+def near_among(
+    candidates: Sequence[Candidate], one: SelectedEffect, rivals: Rivals | None
+) -> Sequence[Candidate]:
+    """Return the candidates that compete with an effect; all, where its competitors are not known."""
+    near = None if rivals is None else rivals.get(one.candidate.label)
+    return candidates if near is None else [c for c in candidates if c.label in near]
+
+
+def penalised_criterion(r: Responses, model: Sequence[Candidate]) -> float:
+    """Return −2 log likelihood of a model plus log n for each parameter (BIC)."""
+    parameters = sum(c.parameters for c in model)
+    return fitted_model(r, model).fitted.criterion + float(np.log(len(r))) * parameters
+
+
+def is_on_trial(candidate: Candidate) -> bool:
+    """Return whether a pair has a member that was chosen among scanned instants."""
+    return len(candidate.members) > 1 and any(
+        m.shape.scanned and m.shape.place_cost > 1 for m in candidate.members
+    )
+
+
+FREEDOM, ROUNDS = 3, 3
+
+
+def offered(
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
+) -> list[Candidate]:
+    """Return the candidates that may enter a model.
+
+    Excluded are effects that are in it, effects that need one that is not, and candidates that would leave
+    the reading hardly a degree of freedom.
+    """
+    taken = sum(name.startswith(READING) for name in r.base_names)
+    room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
+    present = {c.name for c in accepted}
+    followed = {c.covariate for c in accepted}
+    always = {c.name for c in accepted if c.changed is None}
+    once = {c.label for c in accepted if c.named and _enters_once(c)}
+
+    def may_enter(c: Candidate) -> bool:
+        if c.columns.shape[2] > room:
+            return False
+        if c.beside is not None:
+            return not any(one.label in once or one.name in always for one in c.members)
+        if c.shape.beside and not followed.issuperset(c.shape.beside):
+            return False
+        if c.label in once or not (c.follows is None or c.follows in present):
+            return False
+        return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
+
+    return [c for c in candidates if c.label not in refused and may_enter(c)]
+
+
+def _enters_once(c: Candidate) -> bool:
+    """Return whether an effect enters once: it has no nonlinear parameter, or a smooth likelihood in it."""
+    return c.shape.at.keys() <= set(HIDDEN) or c.shape.place_cost == 1
+
+
+def reselected(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    found: list[SelectedEffect],
+    known: int,
+    rivals: Rivals | None = None,
+    *,
+    fresh: SelectedEffect | None = None,
+    curves: bool = False,
+) -> list[SelectedEffect]:
+    """Compare each effect with its competitors again, with all others in the model, until nothing changes.
+
+    An effect may bring a companion, but none that was scanned for at many instants: it would enter untested.
+
+    Args:
+        r: the responses.
+        candidates: of these poses.
+        found: the effects of the model.
+        known: how many of the first were found in another base, and stay.
+        rivals: competing candidates, where they are known; else all candidates compete.
+        fresh: an effect that was just compared with the same others in the model.
+        curves: whether curves may replace the orders of a turn.
+    """
+    if len(found) == known + 1:
+        return found
+    held = {} if fresh is None else {fresh: _places(_others(found, fresh))}
+    for _ in range(ROUNDS):
+        before = [f.candidate.label for f in found]
+        for one in found[known:]:
+            others = _places(_others(found, one))
+            if held.get(one) == others:
+                continue
+            found = _against_rivals(r, near_among(candidates, one, rivals), found, one, curves=curves)
+            held.update({f: others for f in found if _places(_others(found, f)) == others})
+        if [f.candidate.label for f in found] == before:
+            break
+    return found
+
+
+def _brings(pair: Candidate, one: SelectedEffect) -> bool:
+    """Return whether an effect is among several that are offered as one."""
+    return any(member.label == one.candidate.label for member in pair.members)
+
+
+def _others(found: Sequence[SelectedEffect], one: SelectedEffect) -> list[Candidate]:
+    return [f.candidate for f in found if f is not one]
+
+
+def _places(candidates: Sequence[Candidate]) -> list[tuple[str, str, Parameters]]:
+    """Return what distinguishes one model of the same poses from another."""
+    return [(c.label, c.shape.form, c.shape.at) for c in candidates]
+
+
+def _against_rivals(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    found: list[SelectedEffect],
+    one: SelectedEffect,
+    *,
+    curves: bool,
+) -> list[SelectedEffect]:
+    others = _others(found, one)
+    rivals = [
+        c
+        for c in offered(r, candidates, others, set())
+        if c.beside is None or c.shape.series or (_brings(c, one) and not is_on_trial(c))
+    ]
+    if one.candidate.shape.series and not curves:  # a curve takes a little from every order of a turn
+        rivals = [c for c in rivals if c.named]
+    model = fitted_model(r, others)
+    ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)
+    again = named(r, others, rivals, ratios, one.p_value, one.candidate)
+    place = next(k for k, f in enumerate(found) if f is one)
+    members = [replace(again, candidate=member) for member in again.candidate.members]
+    return [*found[:place], *members, *found[place + 1 :]]
+
+
+def with_known_places(
+    r: Responses, candidates: Sequence[Candidate], found: list[SelectedEffect]
+) -> list[SelectedEffect]:
+    """Move scanned nonlinear parameters to the known values nearby, if the model improves.
+
+    Each was refined while other effects were missing, so all are tried at once, then one by one.
+    """
+    known = [c for c in candidates if c.shape.series and not c.shape.scanned and c.beside is None]
+    moves = {k: place for k, f in enumerate(found) if (place := _beside(r, f.candidate, known)) is not None}
+    for some in (list(moves), *([k] for k in moves)) if moves else ():
+        put = [
+            replace(f, candidate=moves[k]) if k in some and f.candidate is not moves[k] else f
+            for k, f in enumerate(found)
+        ]
+        before, after = ([f.candidate for f in each] for each in (found, put))
+        if penalised_criterion(r, after) < penalised_criterion(r, before):
+            found = put
+    return found
+
+
+def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> Candidate | None:
+    """Return the nearest known value that these poses do not resolve from a candidate's; None without one."""
+    name = candidate.effect.place
+    if not name or candidate.shape.series:
+        return None
+    alike = [c for c in known if c.label == candidate.label and not c.is_distinct(r, candidate)]
+    return min(alike, key=lambda c: abs(c.shape.at[name] - candidate.shape.at[name]), default=None)
+
+
+LARGEST_CONDITION = 30.0
+"""Condition index beyond which coefficients are determined mainly by each other (Belsley, Kuh & Welsch,
+Regression Diagnostics, 1980, section 3.2)."""
+SAME_THING = 1e3
+"""Condition index beyond which two effects are one under two names."""
+CANCELS = 3.0
+"""Largest part of an effect in the reading, as a multiple of the sum of all effects."""
+
+
+def is_admissible(r: Responses, accepted: Sequence[Candidate]) -> bool:
+    """Return whether effects can be true together: physically possible, and none cancels another.
+
+    Args:
+        r: the responses.
+        accepted: the effects of a model.
+    """
+    model = fitted_model(r, accepted)
+    columns, fitted, r = model.columns, model.fitted, model.responses
+    own = own_columns(columns, accepted)
+    if not all(c.is_possible(fitted.beta[at]) for c, at in zip(accepted, own, strict=True)):
+        return False
+    if len(accepted) < 2:
+        return True
+    condition = _condition(r, columns, fitted, own)
+    cancels = condition > LARGEST_CONDITION and _cancel(columns, fitted, own)
+    return condition < SAME_THING and not cancels
+
+
+def _condition(r: Responses, columns: FloatArray, fitted: Fit, own: Sequence[slice]) -> float:
+    """Return the condition index of the effects in all responses, bias and scale projected out."""
+    design = stacked(fitted.noise, r.starts, columns)
+    base, effects = design[:, : own[0].start], design[:, own[0].start :]
+    beside = effects - base @ np.linalg.lstsq(base, effects, rcond=None)[0]
+    size = np.linalg.norm(beside, axis=0)
+    values = np.linalg.svd(beside / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    return float(values[0] / max(values[-1], float(np.finfo(np.float64).tiny)))
+
+
+def _cancel(columns: FloatArray, fitted: Fit, own: Sequence[slice]) -> bool:
+    """Return whether two effects add to the reading many times what all of them add together."""
+    parts = np.stack([columns[:, 0, at] @ fitted.beta[at] for at in own])
+    base = columns[:, 0, : own[0].start]
+    beside = parts - (base @ np.linalg.lstsq(base, parts.T, rcond=None)[0]).T
+    together = float(beside.sum(axis=0).std())
+    return int((beside.std(axis=1) > CANCELS * together).sum()) >= 2
+
+
+def eliminated(
+    r: Responses, found: Sequence[SelectedEffect], known: int = 0
+) -> tuple[list[SelectedEffect], list[str]]:
+    """Eliminate backward: return the effects that the model needs, and the labels of those dropped.
+
+    An effect is needed where the model without it is worse by more than log n a parameter. A dropped label is
+    not offered again, so a search ends.
+
+    Args:
+        r: the responses.
+        found: the effects of a model; the last to enter has passed the significance test and stays.
+        known: how many of the first were found in another base, and stay.
+    """
+    kept, dropped = list(found), []
+    while len(kept) > 1:
+        whole = penalised_criterion(r, [f.candidate for f in kept])
+        followed = {f.candidate.follows for f in kept}
+        free = [
+            k
+            for k, f in enumerate(kept[:-1])
+            if k >= known and f.candidate.name not in followed and not f.candidate.effect.place
+        ]
+        without = {k: penalised_criterion(r, _others(kept, kept[k])) for k in free}
+        least = min(without, key=without.__getitem__, default=None)
+        if least is None or without[least] >= whole:
+            break
+        dropped.append(kept.pop(least).candidate.label)
+    return kept, dropped
