@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 
 from calrig.instruments.clock import Clock
@@ -16,17 +15,7 @@ from calrig.instruments.errors import InstrumentError, PortBlocked, StageError
 from calrig.instruments.types import Stage
 
 AGREE_DEG = 0.01
-NEAR_DEG = 0.5
 MOST_READS = 5
-MOST_SENT = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """Why a command was refused, in words, and whether it may have been damaged on its way."""
-
-    words: str
-    perhaps_damaged: bool
 
 
 def agree(one_deg: float, other_deg: float) -> bool:
@@ -51,99 +40,6 @@ def position_deg(
         f"{name}: readings of its position in a row differ ({said}) though it stands: "
         "check the encoder and the serial cable"
     )
-
-
-def setting(name: str, query: str, ask: Callable[[], float | None]) -> float | None:
-    """A setting of the controller, twice alike in a row; None where it does not answer.
-
-    Raises:
-        StageError: it never says the same twice.
-    """
-    last = None
-    for _ in range(MOST_READS):
-        said = ask()
-        if said is None or said == last:
-            return said
-        last = said
-    raise StageError(f"{name} answers {query} otherwise each time: check the serial cable")
-
-
-@dataclass(frozen=True, slots=True)
-class Mover:
-    """A controller that can be told to go to an angle.
-
-    Attributes:
-        name: who it is.
-        faults: counts by kind.
-        position_deg, moves, halt: as they say.
-        target_deg: the target it says it has; None where it says none.
-    """
-
-    name: str
-    faults: Counter[str]
-    position_deg: Callable[[], float]
-    moves: Callable[[], bool]
-    halt: Callable[[], None]
-    target_deg: Callable[[], float | None]
-
-    def move(self, command: str, target_deg: float, send: Callable[[], Refusal | None]) -> None:
-        """Sends a move and sees that the controller took its target; sends it again where it took none.
-
-        Raises:
-            StageError: it was refused, or taken for another and stopped.
-        """
-        stood_deg = self.position_deg()
-        for _ in range(MOST_SENT):
-            refusal = send()
-            took_deg = self._took_deg(target_deg)
-            if took_deg is None or (refusal is None and agree(took_deg, target_deg)):
-                break
-            moved = self.moves() or not agree(self.position_deg(), stood_deg)
-            if moved and agree(took_deg, target_deg):
-                return  # it goes where it was sent: what it said of a refusal was damaged
-            if self._says_where_it_is(took_deg):
-                break
-            if moved:
-                self.halt()
-                raise StageError(
-                    f"{self.name} took {command} for a move to {took_deg:g} and was stopped: "
-                    "check the serial cable"
-                )
-            if refusal is not None and not refusal.perhaps_damaged:
-                break
-            self.faults["resent"] += 1
-        else:
-            if refusal is None:
-                raise StageError(
-                    f"{self.name} takes no notice of {command}: its target stays {took_deg:g}; "
-                    "check the serial cable"
-                )
-        if refusal is not None:
-            raise StageError(f"{self.name} refused {command}: {refusal.words}")
-
-    def _says_where_it_is(self, took_deg: float) -> bool:
-        """Whether what it gives for its target is its place on the way: then it tells no target at all."""
-        return abs(took_deg - self.position_deg()) < NEAR_DEG and self.moves()
-
-    def _took_deg(self, sent_deg: float) -> float | None:
-        said_deg = self.target_deg()
-        return said_deg if said_deg is None or agree(said_deg, sent_deg) else self.target_deg()
-
-
-def velocity(
-    name: str, velocity_dps: float, send: Callable[[], None], ask: Callable[[], float | None]
-) -> None:
-    """Sets a velocity and asks whether it was taken as it was sent; None where that is not known.
-
-    Raises:
-        StageError: it was not.
-    """
-    for _ in range(MOST_SENT):
-        send()
-        took_dps = ask()
-        if took_dps is None or math.isclose(took_dps, velocity_dps, rel_tol=0.01):
-            return
-    raise StageError(f"{name} was told a velocity of {velocity_dps:g} and says it is {took_dps:g}")
 
 
 LOOKS_APART_S = 0.05

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import base64
 import random
+import re
 from xml.etree import ElementTree as ET
 
 import pytest
 from random_certificates import random_certificate
 
 from calrig.errors import WorkError
+from calrig.export.certificate.content import Quantity
 from calrig.export.dcc.document import dcc_of
-from calrig.export.dcc.elements import UNITS
+from calrig.export.dcc.elements import UNITS, quantity
 from calrig.export.dcc.signing import signed
 
 NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -129,3 +131,49 @@ def test_a_signed_dcc_is_valid_and_any_change_breaks_its_signature(errors_in, ke
         signed(dcc_of(*random_certificate(random.Random(3))), key, other)
     with pytest.raises(WorkError, match=r"absent\.key: cannot be read"):
         signed(b"", key.with_name("absent.key"), certificate)
+
+
+METRE, SECOND, DEGREE, KELVIN = "metre", "second", "degree", "kelvin"
+D_SI_NAMES = {
+    "one": ({}, 1.0), "percent": ({}, 0.01), "metre": ({METRE: 1}, 1.0), "second": ({SECOND: 1}, 1.0),
+    "degree": ({DEGREE: 1}, 1.0), "degreecelsius": ({KELVIN: 1}, 1.0),
+}  # fmt: skip
+"""PTB, Digital System of Units, brochure 2.1: names of units, as dimensions and a factor."""
+PRINTED = {
+    "1": ({}, 1.0), "%": ({}, 0.01), "s": ({SECOND: 1}, 1.0), "°": ({DEGREE: 1}, 1.0),
+    "°C": ({KELVIN: 1}, 1.0), "g": ({METRE: 1, SECOND: -2}, 9.80665),
+    "mg": ({METRE: 1, SECOND: -2}, 9.80665e-3),
+}  # fmt: skip
+"""The same for units as printed; g is the standard acceleration of free fall (3rd CGPM, 1901)."""
+
+
+def product(factors):
+    dimensions, size = {}, 1.0
+    for (powers, one), exponent in factors:
+        size *= one**exponent
+        for name, power in powers.items():
+            dimensions[name] = dimensions.get(name, 0) + power * exponent
+    return {name: power for name, power in dimensions.items() if power}, size
+
+
+@pytest.mark.parametrize("printed", list(UNITS))
+def test_a_unit_in_d_si_is_the_unit_that_is_printed(printed):
+    d_si, factor = UNITS[printed]
+    words = re.findall(r"\\([a-z]+)(?:\\tothe\{(-?\d+)\})?", d_si)
+    stated, size = product([(D_SI_NAMES[word], int(power or 1)) for word, power in words])
+    numerator, _, denominator = (printed or "1").partition("/")
+    below = denominator.rstrip("²³")
+    exponent = {"²": 2, "³": 3}.get(denominator[-1:], 1)
+    meant, worth = product([(PRINTED[numerator], 1), *([(PRINTED[below], -exponent)] if below else [])])
+    assert stated == meant
+    assert size * factor == pytest.approx(worth, rel=1e-12)
+
+
+def test_a_figure_in_mg_is_in_m_per_s2_with_its_uncertainty():
+    said = Quantity(
+        "y_mg", "Offset of y", 4.0, "mg", std=0.5, expanded=1.0, coverage_factor=2.0, coverage=0.95
+    )
+    (in_si, as_printed) = quantity(said).iterfind(".//si:real", NAMES)
+    for real, factor in ((in_si, 9.80665e-3), (as_printed, 1.0)):
+        found = [float(real.findtext(f".//si:{name}", namespaces=NAMES)) for name in ("value", *UNCERTAINTY)]
+        assert found == pytest.approx([4.0 * factor, 1.0 * factor, 2.0, 0.95])

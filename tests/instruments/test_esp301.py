@@ -84,12 +84,13 @@ def test_the_place_is_read_as_written(controller, stage, text):
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        (104, "positive limit reached, or the target lies beyond it"),
-        (105, "negative limit reached, or the target lies beyond it"),
+        (104, "positive limit"),
+        (105, "negative limit"),
         (110, "maximum velocity exceeded"),
         (113, "motor not enabled"),
         (6, "unknown command"),
         (9, "axis number out of range"),
+        (37, "axis number missing"),
         (38, "parameter missing"),
         (199, "does not know"),
     ],
@@ -98,7 +99,7 @@ def test_a_refused_move_is_refused_in_words(controller, referenced, code, words)
     controller.refuse = {"1PA": code}
     with pytest.raises(StageError, match=rf"refused PA10: .*{words}.*\(error {code}\)"):
         referenced.move(10)
-    perhaps_damaged = code in (104, 105, 6, 9, 38)
+    perhaps_damaged = code in (104, 105, 6, 9, 37, 38)
     assert controller.commands().count("1PA10") == (5 if perhaps_damaged else 1)
 
 

@@ -149,7 +149,7 @@ def test_a_sketch_that_rambles_is_told_in_a_short_line(text):
 
 
 def test_a_sketchs_reader_that_fails_inside_says_so_at_once(monkeypatch):
-    monkeypatch.setattr("calrig.instruments.boards.sketch_lines.SketchReader.feed", a_defect)
+    monkeypatch.setattr("calrig.instruments.boards.sketch_board.SketchReader.feed", a_defect)
     end = SimulatedEnd()
     board = SketchBoard.open(end.path, sketch=TEXTS[0].sketch)
     end.send(b"a/g:")

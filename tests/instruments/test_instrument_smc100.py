@@ -91,10 +91,16 @@ def test_velocity_is_sent_in_stage_degrees(controller, stage):
 @pytest.mark.parametrize(
     ("letter", "words"),
     [
-        *((letter, rf"\(error {letter}\)") for letter in "ABCDEFGHIJKLMNSUVWX"),
-        ("N", "out of the controller's software limit"),
-        ("J", "not allowed in DISABLE"),
-        ("Q", "does not know"),
+        *((letter, rf"\(error {letter}\)") for letter in "ABDEFQSUVWX"),
+        ("C", "parameter"),
+        ("G", "displacement"),
+        ("H", "in NOT REFERENCED"),
+        ("I", "in CONFIGURATION"),
+        ("J", "in DISABLE"),
+        ("K", "in READY"),
+        ("L", "in HOMING"),
+        ("M", "in MOVING"),
+        ("N", "software limit"),
     ],
 )
 def test_a_refused_move_is_refused_in_words(controller, stage, letter, words):

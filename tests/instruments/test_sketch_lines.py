@@ -17,8 +17,7 @@ from sketch_texts import BANNERS, BY_DRIVER, ELECTRONIC_CATS, TEXTS
 
 from calrig.instruments.boards import adafruit_basic, adafruit_plotter, i2cdev_raw, mpu6050_light
 from calrig.instruments.boards.sketch import Sketch, line_forms
-from calrig.instruments.boards.sketch_lines import SketchReader
-from calrig.instruments.boards.sketch_samples import SketchSamples
+from calrig.instruments.boards.sketch_board import SketchReader, SketchSamples
 from calrig.instruments.errors import BoardError
 
 G_MPS2 = 9.80665
@@ -285,7 +284,7 @@ def test_a_dialect_whose_fields_do_not_fit_its_lines_is_refused_when_it_is_impor
 ):
     source = f"""
         from calrig.instruments.boards.sketch import Sketch, line_forms
-        from calrig.instruments.boards.sketch_device import board_device
+        from calrig.instruments.boards.sketch import board_device
 
         SKETCH = Sketch(
             driver="our-lab", source="our/lab", baudrate=9600, pace="", lines=line_forms("a/g:" + "\\t#" * 6),

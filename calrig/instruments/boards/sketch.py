@@ -8,7 +8,14 @@ a record each, of which `sketch_device` makes a device; `sketch_board` is the dr
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from calrig.instruments.device import BoardDevice, Identity, Probe
+
+if TYPE_CHECKING:
+    from calrig.instruments.boards.sketch_board import SketchBoard
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 I16 = r"(0|-?[1-9]\d{0,4})"
@@ -109,4 +116,28 @@ def line_forms(*lines: str) -> tuple[re.Pattern[str], ...]:
     """Patterns of lines in which `#` stands for an i16 and `%` for a float."""
     return tuple(
         re.compile(re.escape(line).replace(r"\#", I16).replace("%", FLOAT), re.ASCII) for line in lines
+    )
+
+
+def board_device(sketch: Sketch) -> BoardDevice:
+    """The device that a board with this sketch is. It speaks unasked, and is asked nothing."""
+
+    def opens(url: str, *, baudrate: int | None) -> SketchBoard:
+        from calrig.instruments.boards.sketch_board import SketchBoard
+
+        return SketchBoard.open(url, sketch=sketch, baudrate=baudrate)
+
+    def identity(_: Sequence[str]) -> Identity:
+        return Identity(sketch.source)
+
+    return BoardDevice(
+        driver=sketch.driver,
+        title=sketch.source,
+        baudrate=sketch.baudrate,
+        opens=opens,
+        may_stay_open=not sketch.zeroes_at_reset,
+        probes=(Probe(sketch.baudrate, sketch.heard_within_s),),
+        matches=sketch.prints,
+        identity=identity,
+        version_query=b"",
     )

@@ -2,19 +2,229 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
+from collections import Counter, deque
 from typing import Self
+
+import numpy as np
 
 from calrig.instruments.boards.reader import ReadBoard
 from calrig.instruments.boards.sketch import Sketch
-from calrig.instruments.boards.sketch_lines import Record, SketchReader
-from calrig.instruments.boards.sketch_samples import SketchSamples
 from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.device import recognise
 from calrig.instruments.drivers import known_devices
 from calrig.instruments.errors import BoardError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.types import BoardIdentity
+from calrig.instruments.types import BoardIdentity, FloatArray, Samples
+
+LONGEST_LINE = 256
+STRANGE_KEPT = 20
+Record = tuple[float, ...]
+
+
+class SketchReader:
+    """Takes bytes as they come, cut anywhere, and gives the records that are whole.
+
+    A record enters only if each of its lines has the sketch's form to the character, ends CR LF, follows the
+    line before, and no number is beyond its bounds. A line that is neither that nor something the sketch
+    says is dropped and counted as `unparsed`, once a record has come: before, it may be half a line or a
+    banner.
+
+    Args:
+        sketch: what the board is said to run.
+        faults: counts by kind; a remark of the board's is `board_error`.
+
+    Attributes:
+        last_words: what it last said of trouble.
+        strange: the last lines since a record that are none of the sketch's.
+    """
+
+    def __init__(self, sketch: Sketch, faults: Counter[str]) -> None:
+        self.last_words = ""
+        self._sketch = sketch
+        self._faults = faults
+        self._tail = b""
+        self._numbers: list[float] = []
+        self._place = 0  # of the line awaited in its record
+        self._in_stream = False
+        self.strange: deque[str] = deque(maxlen=STRANGE_KEPT)
+        self._since_record = Counter[str]()
+
+    def feed(self, data: bytes) -> list[Record | None]:
+        """The records completed by `data`, None where the board began anew between them.
+
+        Raises:
+            BoardError: it says that it stops, and why.
+        """
+        self._since_record["bytes"] += len(data)
+        self._since_record["no text"] += sum(byte > 0x7E or byte < 0x09 for byte in data)
+        *lines, self._tail = (self._tail + data).split(b"\n")
+        found: list[Record | None] = []
+        for line in lines:
+            if len(line) <= LONGEST_LINE:
+                self._take(line.decode("latin-1"), found)
+            else:
+                self._drop("")
+        self._heed_last_words(self._tail.decode("latin-1"))
+        if len(self._tail) > LONGEST_LINE:
+            self._tail = b""
+            self._drop("")
+        return found
+
+    def begin_anew(self) -> bool:
+        """Drop half a line, in which a reset made the board fall silent; return whether a record had come."""
+        if self._tail or self._place:
+            self._drop(self._tail.decode("latin-1"))
+        self._tail, was_in_stream, self._in_stream = b"", self._in_stream, False
+        return was_in_stream
+
+    @property
+    def n_strange(self) -> int:
+        """How many bytes have come since the last record."""
+        return self._since_record["bytes"]
+
+    @property
+    def garbled(self) -> bool:
+        """Whether what came since the last record is no text."""
+        return self._since_record["no text"] * 10 > self._since_record["bytes"]
+
+    def _take(self, line: str, found: list[Record | None]) -> None:
+        text = line.removesuffix("\r")
+        whole = text != line
+        self._heed_last_words(text)
+        if whole and self._continues(text):
+            if self._place == len(self._sketch.lines):
+                found.append(tuple(self._numbers))
+                self._begin_record()
+                self._in_stream = True
+                self.strange.clear()
+                self._since_record.clear()
+        elif _says(self._sketch.banner, text):
+            if self._in_stream:
+                found.append(None)
+            self._begin_record()
+            self._in_stream = False
+        elif _says(self._sketch.remarks, text):
+            self.last_words = text.strip()
+            self._faults["board_error"] += 1
+        elif text or self._place:
+            self._drop(text)
+            if whole:
+                self._continues(text)  # as the first of a record, where the one before was cut short
+
+    def _continues(self, text: str) -> bool:
+        """Whether the line is the one that comes next; its numbers are kept."""
+        matched = self._sketch.lines[self._place].fullmatch(text)
+        if matched is None:
+            return False
+        numbers = [float(number) for number in matched.groups()]
+        bounds = self._sketch.bounds[len(self._numbers) :]
+        if any(abs(number) > bound for number, bound in zip(numbers, bounds, strict=False)):
+            return False
+        self._numbers += numbers
+        self._place += 1
+        return True
+
+    def _drop(self, text: str) -> None:
+        self._begin_record()
+        if text:
+            self.strange.append(text)
+        if self._in_stream:
+            self._faults["unparsed"] += 1
+
+    def _begin_record(self) -> None:
+        self._numbers, self._place = [], 0
+
+    def _heed_last_words(self, text: str) -> None:
+        said = self._sketch.stops and self._sketch.stops.search(text)
+        if said:
+            raise BoardError(
+                f"the board says {said[0]!r} and stops: its sensor does not answer, or is a clone whose "
+                "WHO_AM_I is not 0x68; check the sensor's wires and chip, then reset the board"
+            )
+
+
+def _says(pattern: re.Pattern[str] | None, text: str) -> bool:
+    return pattern is not None and pattern.search(text) is not None
+
+
+class SketchSamples:
+    """Samples of one board from its start on; feed it the records in the order they came, with their times.
+
+    A record equal to the one before is `frozen` where the sketch sends registers. Where it sends two
+    decimals such records are held back until another comes, and are `frozen` if none does within
+    `frozen_after_s`: the clock may stand for so long, but no frozen value enters. Registers that are all 0
+    are `frozen` at once: nothing answers the board on its bus.
+
+    Attributes:
+        frozen_s: for how long the records have been such that none is accepted.
+    """
+
+    def __init__(self, sketch: Sketch, faults: Counter[str]) -> None:
+        self.frozen_s = 0.0
+        self._sketch = sketch
+        self._faults = faults
+        self._last: Record = ()
+        self._changed_s = 0.0
+        self._held: list[tuple[float, Record]] = []
+
+    @property
+    def reads_zero(self) -> bool:
+        """Whether the last record was 0 throughout."""
+        return bool(self._last) and not any(self._last[:6])
+
+    def restart(self) -> None:
+        """The board began anew."""
+        self._last, self._held, self.frozen_s = (), [], 0.0
+
+    def push(self, records: list[tuple[float, Record]]) -> Samples:
+        """The valid samples among some records and those held back before.
+
+        Args:
+            records: each with its time in s, strictly increasing.
+        """
+        valid: list[tuple[float, Record]] = []
+        for time_s, record in records:
+            if record == self._last or self._is_empty(record):
+                self._doubt(time_s, record)
+            else:
+                valid += [*self._held, (time_s, record)]
+                self._held, self._changed_s, self.frozen_s = [], time_s, 0.0
+            self._last = record
+        return self._samples(valid)
+
+    def _doubt(self, time_s: float, record: Record) -> None:
+        unchanged_s = time_s - self._changed_s
+        self._held.append((time_s, record))
+        if self._is_empty(record) or unchanged_s > self._sketch.frozen_after_s:
+            self.frozen_s = unchanged_s
+            self._faults["frozen"] += len(self._held)
+            self._held = []
+
+    def _is_empty(self, record: Record) -> bool:
+        return self._sketch.accel is not None and not any(record[:6])
+
+    def _samples(self, records: list[tuple[float, Record]]) -> Samples:
+        sketch, n = self._sketch, len(records)
+        numbers = np.array([record for _, record in records]).reshape(n, len(sketch.bounds))
+
+        def column(place: int | None) -> FloatArray:
+            return np.full(n, np.nan) if place is None else numbers[:, place]
+
+        def axes(channel: tuple[int, float] | None) -> FloatArray:
+            if channel is None:
+                return np.full((n, 3), np.nan)
+            first, unit = channel
+            return numbers[:, first : first + 3] * np.float64(unit)
+
+        return Samples(
+            time_s=np.array([time_s for time_s, _ in records]),
+            accel_g=axes(sketch.accel),
+            gyro_dps=axes(sketch.gyro),
+            temperature_c=column(sketch.temperature),
+            angle_deg=column(sketch.angle),
+        )
+
 
 READ_TIMEOUT_S = 0.004
 """How long a read gathers: so far is a record's time off."""

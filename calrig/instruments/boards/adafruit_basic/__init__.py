@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from calrig.instruments.boards.sketch import STANDARD_GRAVITY_MPS2, Sketch, line_forms
-from calrig.instruments.boards.sketch_device import board_device
+from calrig.instruments.boards.sketch import STANDARD_GRAVITY_MPS2, Sketch, board_device, line_forms
 
 SKETCH = Sketch(
     driver="adafruit-basic",

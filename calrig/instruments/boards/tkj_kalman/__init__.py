@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 
-from calrig.instruments.boards.sketch import Sketch, line_forms
-from calrig.instruments.boards.sketch_device import board_device
+from calrig.instruments.boards.sketch import Sketch, board_device, line_forms
 
 SKETCH = Sketch(
     driver="tkj-kalman",

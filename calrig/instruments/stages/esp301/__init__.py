@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
-from calrig.instruments.stages.esp301.words import BAUDRATE
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.esp301.driver import Esp301
 
+BAUDRATE = 19200
 VERSION = re.compile(r"ESP30\d\b.*")
 
 

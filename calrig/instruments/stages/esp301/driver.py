@@ -1,32 +1,71 @@
 """Newport ESP301 (driver `esp301`): ESP301 user's manual; axes 1–3, 19200 baud on RS-232, commands end CR.
 
-Its replies are bare numbers that do not say what they answer. So after every query a fence is sent, `VE?` or
-`1ID?` in turn, whose text was learned when the controller was first asked: replies come in order, so exactly
-one number before the fence is the answer, and none or two are damage, after which the query is asked again.
-A damaged digit looks like any other: what matters is accepted when two readbacks agree (`readback`).
+Its replies are bare numbers that do not say which query they answer. So each query is followed by a fence,
+`VE?` or `1ID?` in turn, whose text was learned at the first query: replies come in order, so exactly one
+number before the fence is the answer. None or two are damage, and the query is sent again.
 
-Nothing tells whether the stage was homed since power came on. It counts as not referenced until this driver
-has homed it, in the way that the stage itself is set up for (`OM`).
+No query tells whether the stage was homed since power-up. It counts as not referenced until this driver has
+homed it, in the mode that the stage itself is set up for (`OM`). Error words: the manual's appendix A.
 """
 
 from __future__ import annotations
 
 import re
-import threading
-from collections import Counter
 from itertools import cycle
-from typing import Self
 
-from calrig.instruments import standstill
 from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.errors import StageError
-from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.esp301.words import BAUDRATE, error_words
-from calrig.instruments.stages.lines import LineWire, plain, unanswered
+from calrig.instruments.ports import Port
+from calrig.instruments.stages.esp301 import BAUDRATE
+from calrig.instruments.stages.lines import LINE_END, plain
+from calrig.instruments.stages.newport import ATTEMPTS, REPLY_TIMEOUT_S, NewportStage, Refusal
 from calrig.instruments.types import StageIdentity, StageStatus
 
-REPLY_TIMEOUT_S = 0.5
-ATTEMPTS = 4
+ERRORS = {
+    1: "PCI communication time-out",
+    4: "emergency stop",
+    6: "unknown command",
+    7: "parameter out of range",
+    8: "cable interlock open",
+    9: "axis number out of range",
+    37: "axis number missing",
+    38: "parameter missing",
+    40: "the last command cannot be repeated",
+}
+
+AXIS_ERRORS = {
+    0: "motor type not defined",
+    1: "parameter out of range",
+    2: "amplifier fault",
+    3: "following error: the stage was blocked, or the motor lost power",
+    4: "positive limit reached, or the target lies beyond it",
+    5: "negative limit reached, or the target lies beyond it",
+    6: "positive software limit reached, or the target lies beyond it",
+    7: "negative software limit reached, or the target lies beyond it",
+    8: "motor or stage not connected",
+    9: "feedback signal fault: check the encoder's cable",
+    10: "maximum velocity exceeded",
+    11: "maximum acceleration exceeded",
+    13: "motor not enabled",
+    15: "maximum jerk exceeded",
+    16: "maximum DAC offset exceeded",
+    17: "critical settings are protected",
+    18: "stage device error",
+    19: "stage data invalid",
+    20: "homing aborted",
+    21: "motor current not defined",
+    22: "drive communication error",
+    23: "drive not detected",
+    24: "speed out of range",
+    26: "parameter change not allowed",
+    27: "invalid trajectory mode for homing",
+    28: "invalid encoder step ratio",
+    29: "digital I/O interlock",
+    30: "not allowed during homing",
+    31: "not allowed in a group",
+    32: "invalid trajectory mode for moving",
+}
+
 MOST_ERRORS = 11
 """Ten in its memory, and the 0 after them."""
 PERHAPS_DAMAGED = (6, 7, 9, 37, 38)
@@ -39,38 +78,33 @@ DONE = re.compile(r"\s*([01])\s*")
 NAME = re.compile(r".*[A-Za-z]{2}.*\d.*")
 
 
-class Esp301:
-    """One axis of a controller on a port, in the stage's own degrees. Opening it moves nothing.
+class Esp301(NewportStage):
+    """One axis of a controller on a port.
 
     RTS is raised and CTS not waited for: commands are shorter than the controller's memory for them, and a
     stop must not wait.
     """
 
+    title = "esp301, axis {},"
+    baudrate = BAUDRATE
+    line_form = LINE_END
+    command_end = "\r"
+    number_form = NUMBER
+    position_query = "TP?"
+    optional_attempts = ATTEMPTS
+    addressed_by = "axis"
+
     def __init__(self, port: Port, axis: int = 1) -> None:
-        self.faults: Counter[str] = Counter()
-        self._axis = axis
-        self._name = f"stage esp301, axis {axis}, on {port.name}"
-        self._lines = LineWire(port, self.faults)
-        self._now_s = port.clock.now_s
-        self._asking = threading.RLock()
+        super().__init__(port, axis)
         self._fences: dict[str, str] = {}
         self._next_fence = cycle([""])
         self._in_doubt = False
         self._referenced = False
         self._homing = False
         self._fault: int | None = None
-        self._tells_target: bool | None = None  # not known before it was asked
-        self._mover = standstill.Mover(
-            self._name, self.faults, self.position_deg, self._moves, self.halt, self._target_deg
-        )
-
-    @classmethod
-    def open(cls, url: str, *, axis: int = 1, baudrate: int | None = None) -> Self:
-        """Opens the port (PortError); asks nothing yet."""
-        return cls(open_port(url, baudrate=baudrate or BAUDRATE, timeout_s=0.02), axis)
 
     def identify(self) -> StageIdentity:
-        """Asks who it is and what it allows (StageError if it does not answer)."""
+        """Return firmware and limits (StageError without a reply)."""
         with self._asking:
             low, high = self._number("SL?"), self._number("SR?")
             velocity, acceleration = self._number("VA?"), self._number("AC?")
@@ -87,40 +121,18 @@ class Esp301:
     def status(self) -> StageStatus:
         """Whether it moves and what its error memory holds, in words (StageError if it does not answer)."""
         with self._asking:
-            if self._must("MD?", DONE) == "0":
+            if self._moves():
                 if self._homing:
                     return StageStatus("homing", "HOMING")
                 if self._referenced:
                     return StageStatus("moving", "MOVING")
                 return StageStatus("homing", "MOVING, not by calrig")
             self._note_error()
-            if self._homing and self._must("MD?", DONE) == "0":
+            if self._homing and self._moves():
                 return StageStatus("homing", "HOMING")  # between two passes of its search it stood
             if self._homing:
                 self._homing, self._referenced = False, True
             return self._standing()
-
-    def position_deg(self) -> float:
-        """Where a standing stage says it is: two reads in a row that agree, three on a wire with faults.
-
-        Raises:
-            StageError: it does not answer, or stands and yet never says the same twice.
-        """
-        with self._asking:
-            return standstill.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
-
-    def glimpse_deg(self) -> float:
-        """One read, unchecked: to show a stage on the move, never for a result."""
-        return float(self._must("TP?", NUMBER))
-
-    def set_velocity(self, velocity_dps: float) -> None:
-        """Sets the velocity of the moves that follow (StageError if refused, or not taken as it was sent)."""
-        standstill.velocity(
-            self._name,
-            velocity_dps,
-            lambda: self._command(f"VA{plain(velocity_dps)}"),
-            lambda: self._number("VA?"),
-        )
 
     def home(self) -> None:
         """Switches the motor on and begins to look for the reference; sent once.
@@ -130,7 +142,7 @@ class Esp301:
             Halted: it was halted; nothing was sent.
         """
         with self._asking:
-            if self._must("MD?", DONE) == "0":
+            if self._moves():
                 raise StageError(f"{self._name} homes only when it stands, and it moves")
             self._lines.refuse_if_halted("OR", self._name)
             self._command("MO")
@@ -139,12 +151,7 @@ class Esp301:
             self._homing = True
 
     def move(self, target_deg: float) -> None:
-        """Begins a move, and asks back what target the controller took; sent again where it took none.
-
-        Raises:
-            StageError: it was not homed, or the controller refused it, or took it for another: stopped.
-            Halted: it was halted; nothing was sent.
-        """
+        """Begin a move, as `NewportStage`; StageError also if the stage was not homed."""
         with self._asking:
             command = f"PA{plain(target_deg)}"
             self._lines.refuse_if_halted(command, self._name)
@@ -152,16 +159,7 @@ class Esp301:
                 raise StageError(
                     f"{self._name} was not homed since its port was opened: {command} was not sent"
                 )
-            self._mover.move(command, target_deg, lambda: self._send(command, motion=True))
-
-    def halt(self) -> None:
-        """Stops the stage now, from any thread, waiting for no answer; later motion raises Halted."""
-        self._lines.halt(f"{self._axis}ST\r".encode("ascii"))
-
-    def close(self) -> None:
-        """Closes the port; never raises."""
-        with self._asking:
-            self._lines.close()
+            super().move(target_deg)
 
     def _standing(self) -> StageStatus:
         if self._fault is not None:
@@ -171,33 +169,15 @@ class Esp301:
             return StageStatus("not_referenced", "STANDING, not homed since its port was opened")
         return StageStatus("ready", "STANDING")
 
-    def _command(self, command: str, *, motion: bool = False) -> None:
-        """Sends what answers nothing, once, and asks whether it was refused."""
-        with self._asking:
-            if refusal := self._send(command, motion=motion):
-                raise StageError(f"{self._name} refused {command}: {refusal.words}")
+    def _moves(self) -> bool:
+        return self._must("MD?", DONE)[1] == "0"
 
-    def _send(self, command: str, *, motion: bool) -> standstill.Refusal | None:
-        self._forget_errors()  # an error of long ago is not this command's
-        data = f"{self._axis}{command}\r".encode("ascii")
-        if motion:
-            self._lines.send_motion(data, self._name)
-        else:
-            self._lines.send(data)
-        code = int(self._must("TE?", CODE))
+    def _refusal(self) -> Refusal | None:
+        code = int(self._must("TE?", CODE)[1])
         if not code:
             return None
         of_axis = code // 100 == self._axis and code % 100 in PERHAPS_DAMAGED_OF_AXIS
-        return standstill.Refusal(error_words(code), of_axis or code in PERHAPS_DAMAGED)
-
-    def _moves(self) -> bool:
-        return self._must("MD?", DONE) == "0"
-
-    def _target_deg(self) -> float | None:
-        """The target it says it has; None where it is one that does not say."""
-        if self._tells_target is None:
-            self._tells_target = self._ask("PA?", NUMBER) is not None
-        return float(self._must("PA?", NUMBER)) if self._tells_target else None
+        return Refusal(error_words(code), of_axis or code in PERHAPS_DAMAGED)
 
     def _forget_errors(self) -> None:
         for _ in range(MOST_ERRORS):
@@ -206,38 +186,23 @@ class Esp301:
 
     def _note_error(self) -> int:
         """Takes the oldest error from the controller's memory; one of this axis's motion is kept here."""
-        code = int(self._must("TE?", CODE))
+        code = int(self._must("TE?", CODE)[1])
         in_motion = self._homing or self._referenced
         if in_motion and (code // 100 == self._axis or code in (4, 8)):
             self._fault, self._referenced, self._homing = code, False, False
         return code
 
-    def _number(self, query: str) -> float | None:
-        def ask() -> float | None:
-            reply = self._ask(query, NUMBER)
-            return None if reply is None else float(reply)
-
-        return standstill.setting(self._name, query, ask)
-
-    def _must(self, query: str, form: re.Pattern[str]) -> str:
-        reply = self._ask(query, form)
-        if reply is None:
-            check = "power, cable, axis and baud rate"
-            raise StageError(unanswered(self._name, query, self.faults, check))
-        return reply
-
-    def _ask(self, query: str, form: re.Pattern[str]) -> str | None:
+    def _ask(self, query: str, form: re.Pattern[str], attempts: int = ATTEMPTS) -> re.Match[str] | None:
         with self._asking:
             if not self._fences and not self._learn_fences():
                 return None
             sent = query if query == "TE?" else f"{self._axis}{query}"
-            for _ in range(1 if self._lines.halted else ATTEMPTS):  # a stop goes first
-                reply = self._ask_once(sent, form)
-                if reply is not None:
+            for _ in range(1 if self._lines.halted else attempts):  # a stop goes first
+                if reply := self._ask_once(sent, form):
                     return reply
         return None
 
-    def _ask_once(self, sent: str, form: re.Pattern[str]) -> str | None:
+    def _ask_once(self, sent: str, form: re.Pattern[str]) -> re.Match[str] | None:
         self._catch_up()
         fence = next(self._next_fence)
         self._lines.send(f"{sent}\r".encode("ascii"))
@@ -249,7 +214,7 @@ class Esp301:
         if came[-1:] != [self._fences[fence]]:
             self._in_doubt = True
         elif len(came) == 2 and (reply := form.fullmatch(came[0])):
-            return reply[1]
+            return reply
         for line in came:
             if line != self._fences[fence]:
                 self.faults["late_reply" if NUMBER.fullmatch(line) else "unparsed"] += 1
@@ -297,3 +262,9 @@ class Esp301:
                 self._in_doubt |= not came
         self._next_fence = cycle(self._fences)
         return bool(self._fences)
+
+
+def error_words(code: int) -> str:
+    """A code of `TE?` with what it means; an axis's own is 100 times the axis and a number."""
+    known = AXIS_ERRORS.get(code % 100) if code >= 100 else ERRORS.get(code)
+    return f"{known or 'an error this driver does not know'} (error {code})"

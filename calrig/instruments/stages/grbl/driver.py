@@ -16,9 +16,8 @@ from typing import Self
 from calrig.instruments import standstill
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.grbl.count import STATE_ANGLE, Count
+from calrig.instruments.stages.grbl.count import OF_A_LINE, STATE_ANGLE, Count, Marks
 from calrig.instruments.stages.grbl.link import RESET, STOP, GrblLink
-from calrig.instruments.stages.grbl.marks import OF_A_LINE, Marks
 from calrig.instruments.stages.grbl.protocol import (
     BAUDRATE,
     NOT_1_1,

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
-from calrig.instruments.stages.smc100.words import BAUDRATE
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.smc100.driver import Smc100
 
+BAUDRATE = 57600
 LIMIT = re.compile(r"1SL\s*[-+]?\d+(?:\.\d*)?(?:[Ee][-+]?\d{1,2})?")
 VERSION = re.compile(r"1VE\s*(\S.*)")
 
