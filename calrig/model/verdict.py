@@ -1,32 +1,24 @@
 """The verdict of a result, and the limit that it is judged by."""
 
-from __future__ import annotations
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from pydantic import TypeAdapter
+from calrig.model.base import Model
 
 Answer = Literal["pass", "conditional_pass", "conditional_fail", "fail", "undecided"]
 Left = Literal["noise", "more_than_noise"]
 Interval = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """What units are held against (CONTRACT section 2, `/api/limits`); None: nothing is asked of that.
+class Limit(Model):
+    """Limits that units are tested against (CONTRACT section 2); null in a field sets no limit.
 
-    Attributes:
-        name: what people call it.
-        units: pattern of serial numbers, `*` and `?` as in file names, capitals as they stand.
-        rig: only results of this rig; None for all.
-        max_error_deg: largest error of a calibrated elevation over the range.
-        bias_deg, scale: lowest and highest, as found.
-        rms_deg: RMS of what is left after everything accepted.
-        expanded_uncertainty_deg: largest expanded uncertainty.
-        rule: `simple` or `guarded`.
-        guard: w over U of the guarded rule.
+    `units` is a pattern of serial numbers, `*` and `?` as in file names, case-sensitive; `rig` restricts it
+    to results of that rig. `max_error_deg` limits the error of a calibrated elevation over the range,
+    `rms_deg` the RMS residual after everything accepted; `bias_deg` and `scale` are lowest and highest.
+    `guard` is w/U of the guarded rule.
     """
 
     name: str
@@ -40,24 +32,10 @@ class Limit:
     rule: Literal["simple", "guarded"] = "simple"
     guard: float = 1.0
 
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Limit:
-        """Return the limit of a JSON object with these keys; keys that are not known are left out."""
-        return _LIMIT.validate_python(document)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the limit ready for JSON."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
-        }
-
     @property
     def rule_in_words(self) -> str:
         """Such as `guarded rule, w = 1·U`."""
         return "simple rule" if self.rule == "simple" else f"guarded rule, w = {self.guard:g}·U"
-
-
-_LIMIT = TypeAdapter(Limit)
 
 
 @dataclass(frozen=True, slots=True)
