@@ -1,9 +1,4 @@
-"""Where another program is told of each run's end: `[webhook]` of calrig.toml.
-
-Limits that units are held against, of the configuration or kept by people in the store.
-
-What is configured: rigs from calrig.toml, where the store lies, where packed files are.
-"""
+"""The configuration, calrig.toml: rigs, limits, webhook, centre; and where store and packed files are."""
 
 from __future__ import annotations
 
@@ -14,10 +9,19 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import platformdirs
-from pydantic import Field, IPvAnyNetwork, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    IPvAnyNetwork,
+    PrivateAttr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from calrig.invalid_fields import first_problem
 from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
+from calrig.model.verdict import Interval, Limit
 
 
 class WebhookSettings(Strict):
@@ -37,11 +41,12 @@ class WebhookSettings(Strict):
 
 
 Positive = Annotated[float, Field(gt=0)]
-Range = tuple[float, float]
 
 
-class LimitSettings(Strict):
-    """What units are held against, a `[[limit]]` or an entry of `/api/limits`; null asks nothing of that."""
+class LimitSettings(Limit):
+    """A limit as people give it, a `[[limit]]` or an entry of `/api/limits`; it limits one figure or more."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     TITLES: ClassVar = {
         "max_error_deg": "Largest error",
@@ -58,16 +63,13 @@ class LimitSettings(Strict):
     units: Annotated[str, Field(min_length=1, max_length=200)] = "*"
     rig: Annotated[str, Field(min_length=1, max_length=64)] | None = None
     max_error_deg: Positive | None = None
-    bias_deg: Range | None = None
-    scale: Range | None = None
     rms_deg: Positive | None = None
     expanded_uncertainty_deg: Positive | None = None
-    rule: Literal["simple", "guarded"] = "simple"
     guard: Annotated[float, Field(gt=0, le=10)] = 1.0
 
     @field_validator("bias_deg", "scale")
     @classmethod
-    def _is_ordered(cls, ends: Range | None) -> Range | None:
+    def _is_ordered(cls, ends: Interval | None) -> Interval | None:
         if ends is not None and ends[0] >= ends[1]:
             raise ValueError(f"the lower end {ends[0]:g} is not below the upper one {ends[1]:g}")
         return ends

@@ -120,9 +120,11 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     changes = store.trail.entries(what=["limits_changed"], limit=EVERY_ENTRY)
     before = [one for one in changes if one.at <= when]
     if before:
-        return [Limit.from_dict(one) for one in before[-1].act.detail["now"]]
+        return [Limit.model_validate(one) for one in before[-1].act.detail["now"]]
     return (
-        [Limit.from_dict(one) for one in changes[0].act.detail["before"]] if changes else store.limits.all()
+        [Limit.model_validate(one) for one in changes[0].act.detail["before"]]
+        if changes
+        else store.limits.all()
     )
 
 

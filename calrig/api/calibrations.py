@@ -3,7 +3,7 @@
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 from datetime import datetime
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Literal, Self, cast
 
 from fastapi import APIRouter, HTTPException, Path, Query
 from fastapi.responses import PlainTextResponse, Response
@@ -20,9 +20,8 @@ from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
 from calrig.api.models import Answer, Body, Reason, ReasonIfAny
 from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
-from calrig.model.result import Extremes
-from calrig.model.verdict import Verdict
-from calrig.store.issued import Revision, RevisionStatus
+from calrig.model.calibration import Calibration, IssuedAct, Revision
+from calrig.store.issued import Revision as StoredRevision
 
 ISSUED = ("json", "pdf", "dcc")
 """What is served beside the formats of other programs: the calibration itself, and its certificates."""
@@ -42,104 +41,6 @@ CalibrationFormat = Annotated[
 Number = Annotated[int, Path(ge=1, lt=2**31)]
 
 router = APIRouter(tags=["calibrations"])
-
-
-class NamedEffect(Answer):
-    """An accepted effect of the unit itself."""
-
-    name: str
-    parameters: dict[str, float | None]
-    formula: str
-
-
-class CalibrationGyro(Answer):
-    """The gyro's part of a calibration."""
-
-    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
-    scale: float | None
-
-
-class UncertaintyAnswer(Answer):
-    """Standard uncertainties of a calibrated elevation; the expanded one contains them all."""
-
-    type_a_deg: float | None
-    type_b_deg: float | None
-    reference_deg: float | None
-    reference_bias_deg: float | None
-    reference_scale: float | None
-
-
-class AccelerometerAnswer(Answer):
-    """true = matrix·(raw − bias)."""
-
-    bias_g: list[float]
-    matrix: list[list[float]]
-
-
-class CalibrationAnswer(Answer):
-    """A unit's calibration (CONTRACT section 6); it never changes once issued."""
-
-    schema_: Literal["calrig.calibration/2"] = Field(alias="schema")
-    unit: str
-    revision: int
-    issued_at: datetime
-    sha256: str
-    run_id: str
-    calibrated_at: datetime | None
-    rig: str | None
-    range_deg: list[float] = Field(min_length=2, max_length=2)
-    model: str
-    bias_deg: float
-    scale: float
-    covariance: list[list[float]] | None
-    effects: list[NamedEffect]
-    gyro: CalibrationGyro | None
-    rms_raw_deg: float
-    rms_calibrated_deg: float | None
-    rms_with_effects_deg: float | None
-    expanded_uncertainty_deg: float | None
-    coverage_factor: float | None
-    coverage: float
-    level_known: bool
-    level_std_deg: float | None
-    accelerometer: AccelerometerAnswer | None
-    uncertainty: UncertaintyAnswer
-    temperature_c: Extremes | None
-    provenance: dict[str, Any]
-    warnings: list[str] = Field(
-        default=[],
-        description="Why the verdict was not reliable when it was made; documents of before lack it.",
-    )
-
-
-class RevisionAnswer(Answer):
-    """An issued revision: what it is of, who made it and why, and what it rests on that has changed since."""
-
-    revision: int
-    status: RevisionStatus
-    run_id: str
-    effects: list[str]
-    issued_at: datetime
-    issued_by: str | None
-    reason: str | None
-    sha256: str
-    verdict: Verdict
-    warnings: list[str] = Field(description="Why it was not released by itself; a reason is needed to do so.")
-    stale: list[str]
-
-
-class IssuedAnswer(Answer):
-    """Something that was done with a revision of a unit's calibration."""
-
-    at: datetime
-    what: Literal["drafted", "released", "withdrawn"]
-    unit: str
-    revision: int
-    run_id: str
-    sha256: str
-    by: str | None
-    reason: str | None
-    warnings: list[str] = Field(description="Those of the revision.")
 
 
 class NewDraft(Body):
@@ -182,7 +83,7 @@ def list_formats() -> object:
 # The longer paths come first: `{serial:path}` would take their ends for parts of the serial number.
 @router.get(
     "/api/units/{serial:path}/calibration",
-    response_model=CalibrationAnswer,
+    response_model=Calibration,
     responses={
         200: {
             "content": {
@@ -226,7 +127,7 @@ def show_calibration(
 
 @router.get(
     "/api/units/{serial:path}/calibrations",
-    response_model=list[RevisionAnswer],
+    response_model=list[Revision],
     responses=problems(404),
     summary="Every issued revision, newest first",
 )
@@ -238,7 +139,7 @@ def list_revisions(unit: KnownUnit, context: Context) -> object:
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/release",
     dependencies=[requires("releaser")],
-    response_model=RevisionAnswer,
+    response_model=Revision,
     responses=problems(404, 409, 413, 422),
     summary="Put a revision in force",
 )
@@ -257,7 +158,7 @@ def release(
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/withdraw",
     dependencies=[requires("releaser")],
-    response_model=RevisionAnswer,
+    response_model=Revision,
     responses=problems(404, 409, 413, 422),
     summary="Take a revision back for good",
 )
@@ -271,7 +172,7 @@ def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, 
     "/api/units/{serial:path}/calibrations",
     dependencies=[requires("operator")],
     status_code=201,
-    response_model=RevisionAnswer,
+    response_model=Revision,
     responses=problems(404, 409, 413, 422),
     summary="Draft a calibration from a run or a joint solution",
 )
@@ -287,7 +188,7 @@ def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object
 
 @router.get(
     "/api/calibrations",
-    response_model=list[IssuedAnswer],
+    response_model=list[IssuedAct],
     responses=problems(422),
     summary="What was issued, released or withdrawn, oldest first",
 )
@@ -296,7 +197,7 @@ def list_issued(context: Context, since: datetime | None = None) -> object:
     return issued_since(context.store, since)
 
 
-def _certificate(context: ApiContext, found: Revision, form: Literal["pdf", "dcc"]) -> Response:
+def _certificate(context: ApiContext, found: StoredRevision, form: Literal["pdf", "dcc"]) -> Response:
     from calrig.analysis.certificates import certificate_dcc, certificate_pdf
     from calrig.export.certificate.pdf import RendererMissingError
     from calrig.export.dcc.signing import SignerMissingError

@@ -1,15 +1,11 @@
-"""Diagnoses: tracing what calibration left, accepting what was found, the run that separates suspects.
+"""Diagnoses: trace the residual, accept effects, start the follow-up run; and the catalogue of effects."""
 
-The catalogue of effects, so that whoever shows one needs no table of names, titles or units.
-"""
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from __future__ import annotations
-
-from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid
@@ -22,10 +18,8 @@ from calrig.api.models import Answer, Body, RunAnswer
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.regression import ORIGINS, Effect, Origin, Scope
+from calrig.model.diagnosis import Diagnosis
 from calrig.store import Run
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 
 router = APIRouter(tags=["diagnoses"])
 
@@ -48,148 +42,10 @@ class TakeBack(Accept):
     reason: str
 
 
-class ParameterAnswer(Answer):
-    """A parameter with its standard error, null where it was found by scanning."""
-
-    value: float
-    std: float | None
-
-
-class ConsideredAnswer(Answer):
-    """A candidate, how far it is behind the best in −2 log likelihood with penalties, and why it lost."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    name: str
-    behind: float
-    why: str | None = None  # of diagnoses stored before it was kept: null
-
-
-class ChangedAnswer(Answer):
-    """Between which two runs something changed: parameters are those of the later less the earlier."""
-
-    from_: str = Field(alias="from")
-    to: str
-
-
-class EffectAnswer(Answer):
-    """An effect that was found; `accepted_at` is null until a person has put it in force."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    name: str
-    verdict: Literal["named", "ambiguous", "unnamed"]
-    origin: Origin
-    covariate: str
-    parameters: dict[str, ParameterAnswer | None]
-    p_value: float
-    changed: ChangedAnswer | None = None  # null of what was the same in all runs
-    confusable_with: list[str]
-    evidence: list[str]
-    remedy: str
-    considered: list[ConsideredAnswer]
-    least_p_value: float | None = None  # what the bootstrap could tell at best; null of older diagnoses
-    accepted_at: datetime | None = None  # of diagnoses stored before it was kept: null
-
-
-class HeldOutAnswer(Answer):
-    """How the errors on held-out poses were measured."""
-
-    how: str
-    n_poses: int
-
-
-class LackOfFitAnswer(Answer):
-    """The residual's variance over that of the pure error, with the degrees of freedom of both."""
-
-    f: float
-    freedom: tuple[float, float]
-    p_value: float
-    rejected: bool
-
-
-class ReadingNoiseAnswer(Answer):
-    """What the final model leaves of the reading, and the pure error that it is held against.
-
-    `floor_deg` is a reading's standard error from within the dwells, `repeat_deg` the scatter of poses
-    revisited on the same side, slow changes included; `pure_error_deg` is of both, without those.
-    """
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    std_deg: float
-    lag1_correlation: float
-    floor_deg: float | None
-    repeat_deg: float | None = None  # the last three: null of diagnoses stored before they were kept
-    pure_error_deg: float | None = None
-    lack_of_fit: LackOfFitAnswer | None = None
-
-
-class BaseAnswer(Answer):
-    """Bias and scale alone: errors on held-out poses between the others, and in contiguous blocks."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    bias_deg: float
-    scale: float | None
-    fit_rms_deg: float
-    held_out_rms_deg: float | None
-    blocked_rms_deg: float | None = None  # null of diagnoses stored before it was measured
-
-
-class FinalAnswer(Answer):
-    """With the effects found."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    held_out_rms_deg: float | None
-    blocked_rms_deg: float | None = None  # in the blocks, of time or of angle, that the effects help less
-    fit_rms_deg: float
-    model: str
-
-
-class FollowUpAnswer(Answer):
-    """A run that is expected to separate the suspects; `separation` in −2 log likelihood."""
-
-    separates: list[str]
-    separation_sigma: float
-    separation: float
-    deciding_poses: int
-    plan: dict[str, Any]
-
-
-class ConfirmedAnswer(Answer):
-    """RMS before and after on poses of the fresh run that did not serve to decide."""
-
-    run_id: str
-    before_rms_deg: float
-    after_rms_deg: float
-
-
-class DiagnosisAnswer(Answer):
-    """CONTRACT section 5, and what a person should make of it: `grade`, and `says` with the answer first."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    runs: list[str]
-    n_poses: int
-    held_out: HeldOutAnswer
-    noise: ReadingNoiseAnswer
-    base: BaseAnswer
-    verdict: Literal["named", "ambiguous", "unnamed", "nothing"]
-    effects: list[EffectAnswer]
-    final: FinalAnswer
-    follow_up: FollowUpAnswer | None
-    confirmed_by: ConfirmedAnswer | None
-    warnings: list[str]
-    grade: Literal["good", "fair", "unknown"] = "unknown"  # so of diagnoses stored before they were judged
-    says: list[str] = Field(default=[])
-
-
 @router.post(
     "/api/runs/{run_id}/diagnosis",
     dependencies=[requires("operator")],
-    response_model=DiagnosisAnswer,
+    response_model=Diagnosis,
     responses=ACCEPTED | problems(404, 409, 413, 422),
     summary="Trace what bias and scale leave of a run",
 )
@@ -214,7 +70,7 @@ async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy
 
 @router.get(
     "/api/runs/{run_id}/diagnosis",
-    response_model=DiagnosisAnswer,
+    response_model=Diagnosis,
     responses=problems(404),
     summary="The last diagnosis of a run",
 )
@@ -267,9 +123,6 @@ async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who, wai
         return await run_in_threadpool(context.service.follow_up, asked, found, who)
 
     return await heavy.answer(work, wait=wait, kept_at=lambda begun: f"/api/runs/{begun.id}")
-
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 
 class EffectParameter(Answer):

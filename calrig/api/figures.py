@@ -14,7 +14,7 @@ from calrig.analysis.histories import charts, histories
 from calrig.api.compare import Units
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems
-from calrig.api.models import Figure
+from calrig.model.noise import Figure
 from calrig.store import Run
 
 BATCH = 5000

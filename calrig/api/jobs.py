@@ -22,7 +22,7 @@ from calrig.api.access import requires
 from calrig.api.context import Context, context_of
 from calrig.api.errors import CLIENT_LEFT, problems
 from calrig.api.job import Job
-from calrig.api.models import JobAnswer
+from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
 
 # No `from __future__ import annotations`: FastAPI reads the annotations of the dependency.
@@ -45,7 +45,7 @@ KnownJob = Annotated[Job, Depends(_known_job)]
 
 
 @router.get(
-    "/api/jobs/{job_id}", response_model=JobAnswer, responses=problems(404), summary="How far long work is"
+    "/api/jobs/{job_id}", response_model=JobState, responses=problems(404), summary="How far long work is"
 )
 async def show_job(job: KnownJob) -> Job:
     """`fraction` is null where the work cannot say, `result` the address of what came of it, once done."""
@@ -55,7 +55,7 @@ async def show_job(job: KnownJob) -> Job:
 @router.delete(
     "/api/jobs/{job_id}",
     dependencies=[requires("operator")],
-    response_model=JobAnswer,
+    response_model=JobState,
     responses=problems(404),
     summary="Cancel long work",
 )
@@ -90,7 +90,7 @@ T = TypeVar("T")
 AT_ONCE_S = 2.0
 """What is done by then is answered as if it had been waited for."""
 ACCEPTED: dict[int | str, dict[str, Any]] = {
-    202: {"model": JobAnswer, "description": "With `wait=false`, after two seconds: `GET /api/jobs/{id}`"}
+    202: {"model": JobState, "description": "With `wait=false`, after two seconds: `GET /api/jobs/{id}`"}
 }
 Wait = Annotated[
     bool,
@@ -153,7 +153,7 @@ class BackgroundWork:
             self._context.jobs.add(job, f"{self._request.method} {self._request.url.path}")
             is_taken_on = True
             address = {"Location": f"/api/jobs/{job.id}"}
-            return JSONResponse(JobAnswer.model_validate(job).model_dump(), 202, address)
+            return JSONResponse(JobState.model_validate(job).model_dump(), 202, address)
         finally:
             if not is_taken_on:
                 await job.cancel()

@@ -1,6 +1,6 @@
-"""Limits that units are held against, in the order that they are tried in."""
+"""Limits that units are tested against, in the order in which they are tried."""
 
-from __future__ import annotations
+# No `from __future__ import annotations`: FastAPI reads the annotations of the paths.
 
 from typing import Annotated
 
@@ -13,23 +13,21 @@ from calrig.api.errors import problems
 from calrig.model.verdict import Limit
 from calrig.settings import LimitSettings
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 MOST_LIMITS = 100
 
 router = APIRouter(tags=["limits"])
 
 
-@router.get("/api/limits", summary="The limits, in order")
+@router.get("/api/limits", response_model=list[Limit], summary="The limits, in order")
 def list_limits(context: Context) -> list[Limit]:
-    """The first that matches a unit (and rig) counts. `guard` is w over U of the guarded rule."""
+    """The first that matches a unit (and rig) applies."""
     return context.store.limits.all()
 
 
 @router.put(
     "/api/limits",
     dependencies=[requires("admin")],
+    response_model=list[Limit],
     responses=problems(409, 413, 422),
     summary="Replace the limits",
 )

@@ -77,40 +77,11 @@ class Problem(Answer):
     detail: str
 
 
-class JobAnswer(Answer):
-    """Long work under way or ended."""
-
-    id: str
-    state: Literal["queued", "running", "done", "failed", "cancelled"]
-    fraction: float | None = Field(description="Share that is done; null where the work cannot say.")
-    result: str | None = Field(description="Path of what came of it, once it is done.")
-    error: str | None
-    error_status: int | None = Field(description="Status with which its call would have answered the error.")
-
-
 class Health(Answer):
     """The service answers."""
 
     status: Literal["ok"]
     version: str
-
-
-class RigAnswer(Answer):
-    """A rig and what it is doing; `stage`, `imu` and `clamp` are its drivers, null where hands turn the unit.
-
-    At a centre with the bench that has it; `offline`, with the state last known, once that says nothing more.
-    """
-
-    name: str
-    stage: str
-    imu: str
-    simulated: bool
-    state: Literal["idle", "busy", "unreachable", "offline"]
-    run_id: str | None
-    bench: str | None
-    hall: str | None
-    last_seen_at: datetime | None
-    clamp: str | None
 
 
 class RunAnswer(Run):
@@ -179,10 +150,3 @@ class UnitWithRuns(UnitAnswer):
     runs: list[RunAnswer]
     active_run_id: str | None = Field(description="The run that the calibration in force is from.")
     revision_in_force: int | None
-
-
-class Figure(Answer):
-    """A picture in plotly's JSON form."""
-
-    data: list[dict[str, Any]]
-    layout: dict[str, Any]

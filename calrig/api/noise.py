@@ -1,16 +1,12 @@
-"""Noise and filters: of a run's samples, or of a log that somebody brings.
+"""Studies of noise and filters: of a run's samples, or of uploaded logs, which are kept in a list."""
 
-Studies of logs that people brought: listed, shown again, removed.
-"""
-
-from __future__ import annotations
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 from datetime import datetime
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, File, Form, Request, UploadFile
-from pydantic import ConfigDict
 from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid, Unknown
@@ -30,12 +26,9 @@ from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, BackgroundWork, Heavy, Wait
 from calrig.api.models import Answer
-from calrig.api.models import Figure as FigureAnswer
+from calrig.model.noise import FiltersStudy, NoiseStudy
 from calrig.store import Run
 from calrig.store.fleet import StudyKind
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 
 router = APIRouter(tags=["noise"])
 
@@ -53,128 +46,9 @@ Keeper = Annotated[Caller | None, Depends(_keeper)]
 """Who asks, if what they find is kept; None of whoever may only look."""
 
 
-class Dropped(Answer):
-    """What could not be used of a log."""
-
-    gaps: int
-    not_finite: int
-
-
-class AllanAnswer(Answer):
-    """Overlapping Allan deviation with its confidence limits."""
-
-    tau_s: list[float]
-    deviation: list[float]
-    low: list[float]
-    high: list[float]
-
-
-class CoefficientAnswer(Answer):
-    """One kind of noise, in the unit given."""
-
-    value: float
-    std: float
-    unit: str
-
-
-class CoefficientsAnswer(Answer):
-    """The kinds of noise that the log asks for; null for the others."""
-
-    quantisation: CoefficientAnswer | None
-    white: CoefficientAnswer | None
-    flicker: CoefficientAnswer | None
-    random_walk: CoefficientAnswer | None
-    ramp: CoefficientAnswer | None
-
-
-class LineAnswer(Answer):
-    """A spectral line."""
-
-    frequency_hz: float
-    amplitude: float
-    p_value: float
-
-
-class DistributionAnswer(Answer):
-    """Whether the samples are Gaussian; null where quantisation hides it."""
-
-    gaussian: bool | None
-    p_value: float | None
-    skewness: float | None
-    kurtosis: float | None
-    outliers: int
-
-
-class TemperatureAnswer(Answer):
-    """Dependence on temperature, per °C."""
-
-    per_c: float
-    std: float
-
-
-class ChannelAnswer(Answer):
-    """The noise of one channel, in its unit."""
-
-    mean: float
-    std: float
-    adf_slope: float | None
-    psd_slope: float | None
-    colour: Literal["white", "pink", "brown", "quantisation-limited", "lines", "mixed"] | None
-    allan: AllanAnswer
-    coefficients: CoefficientsAnswer
-    lines: list[LineAnswer]
-    distribution: DistributionAnswer
-    temperature: TemperatureAnswer | None
-
-
-class NoiseReport(Answer):
-    """CONTRACT section 7."""
-
-    rate_hz: float
-    duration_s: float
-    dropped: Dropped
-    channels: dict[str, ChannelAnswer]
-    summary: list[str]
-
-
-class CaptionedFigure(Answer):
-    """A picture and what it shows."""
-
-    caption: str
-    figure: FigureAnswer
-
-
-class StatedAnswer(Answer):
-    """A channel's noise as data sheets state it, with its unit: one-sided density, and bias instability."""
-
-    white: str | None
-    flicker: str | None
-
-
-class NoiseAnswer(Answer):
-    """The report of a static log, and its pictures; `id` of a study of a file, which is kept."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    id: str | None = None
-    report: NoiseReport
-    stated: dict[str, StatedAnswer]
-    figures: list[CaptionedFigure]
-
-
-class FiltersAnswer(Answer):
-    """What `calrig filters --json` prints, and its pictures; `id` of a study of a file, which is kept."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-    id: str | None = None
-    report: dict[str, Any]
-    figures: list[CaptionedFigure]
-
-
 @router.get(
     "/api/runs/{run_id}/noise",
-    response_model=NoiseAnswer,
+    response_model=NoiseStudy,
     responses=ACCEPTED | problems(404, 409, 422),
     summary="The noise in the log of a static run",
 )
@@ -186,7 +60,7 @@ async def run_noise(run: KnownRun, context: Context, heavy: Heavy, wait: Wait = 
 
 @router.get(
     "/api/runs/{run_id}/filters",
-    response_model=FiltersAnswer,
+    response_model=FiltersStudy,
     responses=ACCEPTED | problems(404, 409, 422),
     summary="The filters side by side on a run's samples",
 )
@@ -198,7 +72,7 @@ async def run_filters(run: KnownRun, context: Context, heavy: Heavy, wait: Wait 
 @router.post(
     "/api/noise",
     max_body_size=LOG_BYTES,
-    response_model=NoiseAnswer,
+    response_model=NoiseStudy,
     responses=ACCEPTED | problems(408, 413, 422, 503),
     summary="The noise in a log from anybody's sensor",
 )
@@ -220,7 +94,7 @@ async def log_noise(
 @router.post(
     "/api/filters",
     max_body_size=LOG_BYTES,
-    response_model=FiltersAnswer,
+    response_model=FiltersStudy,
     responses=ACCEPTED | problems(408, 413, 422, 503),
     summary="The filters side by side on a log from anybody's sensor",
 )
@@ -281,9 +155,6 @@ async def _of_file(
     return await heavy.answer(work, wait=wait)
 
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 class StudyAnswer(Answer):
     """A study of a file that somebody brought."""
 
@@ -298,8 +169,8 @@ class KeptStudy(Answer):
     """One with what was found: `noise` or `filters`, the other is null."""
 
     study: StudyAnswer
-    noise: NoiseAnswer | None
-    filters: FiltersAnswer | None
+    noise: NoiseStudy | None
+    filters: FiltersStudy | None
 
 
 @router.get("/api/log-studies", response_model=list[StudyAnswer], summary="Logs that people brought")

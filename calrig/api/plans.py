@@ -17,9 +17,10 @@ from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, Heavy, Wait
-from calrig.api.models import Answer, Body
+from calrig.api.models import Body
 from calrig.calibration.plan_design import Goals
 from calrig.model.plan import Plan, Until
+from calrig.model.plan_design import Design, Estimate
 from calrig.runs.plan_designs import DesignInputs, DesignRequest, answer, question
 from calrig.runs.plan_estimates import estimate, grid_says, wall_pace
 from calrig.runs.rig import overdue_says
@@ -39,23 +40,13 @@ class PlanOnRig(Body):
     plan: Plan = Plan()
 
 
-class EstimateAnswer(Answer):
-    """`elevations_deg` are those of one sweep; a static log has no poses."""
-
-    n_poses: int
-    elevations_deg: list[float]
-    duration_s: float = Field(description="About, by the board's clock; without a wait for a temperature.")
-    wall_s: float = Field(description="The same by the clock on the wall, as the rig's last runs took.")
-    warnings: list[str] = Field(description="What is known to fail before it has begun, in sentences.")
-
-
 @router.post(
     "/api/plans/estimate",
-    response_model=EstimateAnswer,
+    response_model=Estimate,
     responses=problems(404, 413, 422),
     summary="What a plan comes to",
 )
-def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
+def estimate_plan(body: PlanOnRig, context: Context) -> Estimate:
     """Nothing moves. 422 says why a run of this plan would be refused.
 
     With `target_std_deg` the duration is the most it takes. The stage's speed is the plan's, else that of the
@@ -68,7 +59,7 @@ def estimate_plan(body: PlanOnRig, context: Context) -> EstimateAnswer:
     cannot = cannot_pass_on(rig, body.unit, body.plan, store, maps)
     warnings = [*overdue_says(rig), *grid_says(body.plan), *cannot]
     wall_s = wall_pace(rig, store) * said.duration_s
-    return EstimateAnswer(**asdict(said), wall_s=wall_s, warnings=warnings)
+    return Estimate(**asdict(said), wall_s=wall_s, warnings=warnings)
 
 
 class WantedPlan(Body):
@@ -88,47 +79,10 @@ class WantedPlan(Body):
     plan: Plan = Plan()
 
 
-class ExpectedAnswer(Answer):
-    """Of the plan, by the noise and the pace of the rig; where it may end early, when it probably does."""
-
-    duration_s: float
-    expanded_uncertainty_deg: float | None
-    bias_std_deg: float
-    scale_std: float
-
-
-class LimitAnswer(Answer):
-    """A time that no plan is under; without `sweep`, no plan of dwells.
-
-    Where a time was given: no plan that reaches as much as this one.
-    """
-
-    duration_s: float
-    why: str
-
-
-class SuspectAnswer(Answer):
-    """The least of an effect that would be detected with a power of 80 %; null where nothing of it would be.
-
-    `rms_deg` is what it leaves in calibrated readings; `value` its parameter, where it has one alone.
-    """
-
-    name: str
-    title: str
-    rms_deg: float | None
-    parameter: str | None
-    unit: str | None
-    value: float | None
-
-
-class DesignAnswer(Answer):
-    """The plan, what to expect of it, and how near it is to the best that could be."""
+class DesignAnswer(Design):
+    """The plan, what to expect of it, and its distance to the best possible one."""
 
     plan: Plan
-    expected: ExpectedAnswer
-    limit: LimitAnswer
-    suspects: list[SuspectAnswer]
-    says: list[str]
 
 
 @router.post(

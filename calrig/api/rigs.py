@@ -23,7 +23,8 @@ from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.jobs import BackgroundWork, Heavy
-from calrig.api.models import Answer, Body, Figure
+from calrig.api.models import Answer, Body
+from calrig.model.noise import Figure
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 

@@ -30,7 +30,6 @@ from calrig.api.models import (
     Reason,
     ReasonIfAny,
     ResumeRun,
-    RigAnswer,
     RunAnswer,
     RunList,
     StartRun,
@@ -40,6 +39,7 @@ from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind, stanza
 from calrig.model.plan import ElevationDeg, MountAxis
 from calrig.model.run import Status
+from calrig.model.service import RigState
 from calrig.run_ids import FEWEST
 from calrig.store import Run
 from calrig.store.convert import iso_utc
@@ -87,7 +87,7 @@ async def health() -> Health:
     return Health(status="ok", version=calrig.__version__)
 
 
-@router.get("/api/rigs", response_model=list[RigAnswer], summary="Every rig and what it is doing")
+@router.get("/api/rigs", response_model=list[RigState], summary="Every rig and what it is doing")
 def rigs(context: Context) -> object:
     """In the order configured; the first one is what a run without `rig` takes."""
     return context.service.rigs()
@@ -112,7 +112,7 @@ async def scan(context: Context) -> object:
 
 @router.post(
     "/api/rigs/{name}/stop",
-    response_model=RigAnswer,
+    response_model=RigState,
     responses=problems(404, 409),
     summary="Stop a rig's stage now",
 )
@@ -363,7 +363,7 @@ class ClampUnit(Body):
 @router.post(
     "/api/rigs/{name}/clamp",
     dependencies=[requires("operator")],
-    response_model=RigAnswer,
+    response_model=RigState,
     responses=problems(404, 409, 422),
     summary="Turn the unit with the rig's clamp",
 )

@@ -1,17 +1,13 @@
-"""Bodies and answers about joint solutions: CONTRACT section 8.
+"""Joint solutions of stored runs (CONTRACT section 8): stage, mounts and units; each solution is stored."""
 
-Stage, mounts and units solved together, of stored runs; solutions are kept.
-"""
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from __future__ import annotations
-
-from datetime import datetime
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from fastapi import APIRouter, Depends, Query
 from fastapi.responses import Response
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from starlette.concurrency import run_in_threadpool
 
 from calrig import figures
@@ -22,16 +18,14 @@ from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, Heavy, Wait
-from calrig.api.models import Answer, Body, Figure
+from calrig.api.models import Body
 from calrig.calibration.poses import DiagnosisError
 from calrig.export.solution_documents import in_file
 from calrig.figures.joint import joint_figure
+from calrig.model.noise import Figure
+from calrig.model.solution import Frame, ListedSolution, PoseResiduals, Solution
 from calrig.store.solutions import ListedSolution as Listed
 from calrig.store.solutions import StoredSolution
-from calrig.store.solved import Frame
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 
 MOST_NAMED = 2000
 
@@ -62,150 +56,16 @@ class Solve(Body):
     )
 
     @model_validator(mode="after")
-    def _names_something(self) -> Solve:
+    def _names_something(self) -> Self:
         if not (self.runs or self.units or self.rig):
             raise ValueError("name runs, units or a rig: there is nothing to solve")
         return self
 
     @model_validator(mode="after")
-    def _limits_rise(self) -> Solve:
+    def _limits_rise(self) -> Self:
         if self.limits_deg is not None and self.limits_deg[0] >= self.limits_deg[1]:
             raise ValueError("limits_deg is the lower, then the upper")
         return self
-
-
-class Joint(Answer):
-    """A part of the document, kept as it was found: one that a later calrig found may have more in it."""
-
-    model_config = ConfigDict(extra="allow", json_schema_serialization_defaults_required=True)
-
-
-class Value(Joint):
-    """A parameter with its standard error, null where it is not known."""
-
-    value: float | None
-    std: float | None
-
-
-class ElevationStd(Joint):
-    """The standard error of a calibrated elevation, by elevation."""
-
-    elevation_deg: list[float]
-    std_deg: list[float]
-
-
-class SolvedUnit(Joint):
-    """A unit's parameters, and what its elevations are worth over its range."""
-
-    unit: str
-    parameters: dict[str, Value]
-    accelerometer: dict[str, Any] | None
-    gyro: dict[str, Any] | None
-    range_deg: list[float]
-    elevation_std_deg: ElevationStd
-
-
-class StageMap(Joint):
-    """The stage's error over its dial, less its mean, as in the middle of the play."""
-
-    stage_deg: list[float]
-    error_deg: list[float]
-    std_deg: list[float]
-
-
-class Harmonic(Joint):
-    """amplitude·sin(order·dial + phase); `separable` where it is known better than one pose is measured."""
-
-    order: float
-    amplitude_deg: float
-    phase_deg: float
-    std_deg: float
-    separable: bool
-
-
-class Stage(Joint):
-    """What the stage does wrong."""
-
-    map: StageMap
-    harmonics: list[Harmonic]
-    backlash_deg: Value | None
-
-
-class SolvedMount(Joint):
-    """A clamping: the angle that was stated, and the one that was found."""
-
-    mount: str
-    unit: str
-    mount_deg: float
-    angle_deg: Value
-
-
-class Advice(Joint):
-    """Mounts that would help, and what an elevation is worth now and would be then."""
-
-    mounts_deg: list[float]
-    elevation_std_deg_now: float
-    elevation_std_deg_then: float
-    says: str
-
-
-class HeldOutRms(Joint):
-    """RMS of what was held out."""
-
-    held_out_rms_deg: float | None
-
-
-class _Kept(Answer):
-    """What every solution is known by."""
-
-    id: str
-    created_at: datetime
-    by: str | None
-    rig: str | None
-    runs: list[str]
-    linear: bool
-    periods_deg: list[float]
-    seat_std_deg: float | None
-    frame: Frame
-
-
-class ListedSolution(_Kept):
-    """A solution in a list; `units` are serials."""
-
-    units: list[str]
-    separable: bool
-    before: HeldOutRms
-    final: HeldOutRms
-
-
-class SolutionAnswer(_Kept, Joint):
-    """CONTRACT section 8, and what it rests on."""
-
-    units: list[SolvedUnit]
-    stage: Stage
-    mounts: list[SolvedMount]
-    separable: bool
-    advice: Advice | None
-    held_out: dict[str, Any]
-    before: HeldOutRms
-    final: HeldOutRms
-    noise: dict[str, float]
-    level_known: bool
-    level_std_deg: float | None
-    warnings: list[str]
-
-
-class PosesLeft(Answer):
-    """Columns of poses: index of the mount, dial, map with what is left, what is left before and after."""
-
-    mount: list[int]
-    dial_deg: list[float]
-    on_map_deg: list[float]
-    before_deg: list[float]
-    left_deg: list[float]
-
-
-# No `from __future__ import annotations`: FastAPI reads the annotations of the paths.
 
 
 router = APIRouter(tags=["solve"])
@@ -222,7 +82,7 @@ KnownSolution = Annotated[StoredSolution, Depends(_known_solution)]
 @router.post(
     "/api/solve",
     dependencies=[requires("operator")],
-    response_model=SolutionAnswer,
+    response_model=Solution,
     responses=ACCEPTED | problems(404, 409, 413, 422),
     summary="Solve stage, mounts and units of runs together",
 )
@@ -257,7 +117,7 @@ def list_solutions(
 
 @router.get(
     "/api/solve/{solution_id}",
-    response_model=SolutionAnswer,
+    response_model=Solution,
     responses=problems(404),
     summary="A solution",
 )
@@ -292,7 +152,7 @@ def solution_calibration(solution: KnownSolution, serial: str) -> Response:
 
 @router.get(
     "/api/solve/{solution_id}/poses",
-    response_model=PosesLeft,
+    response_model=PoseResiduals,
     responses=problems(404),
     summary="What each pose of a solution leaves of its angle",
 )

@@ -1,4 +1,4 @@
-"""A pose (one dwell at one elevation), its columns (CONTRACT section 4), and what a diagnosis asks of them."""
+"""A pose (one dwell at one elevation), its columns (CONTRACT section 4), what a diagnosis asks of them."""
 
 from __future__ import annotations
 

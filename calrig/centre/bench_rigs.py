@@ -19,8 +19,9 @@ from pydantic import AwareDatetime, BaseModel, Field, ValidationError
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.revisions import Releases
+from calrig.model.service import RigState, RigWork
 from calrig.runs.presence import BoardCheck
-from calrig.runs.rig_status import RigState, look_of, settings_of
+from calrig.runs.rig_status import look_of, settings_of
 from calrig.settings import RigSettings
 from calrig.store import Store, StoreError
 from calrig.store.benches import Backlog, Bench, Waiting
@@ -68,7 +69,7 @@ class BenchRig:
             last_seen_at=self.bench.last_seen_at,
         )
 
-    def _state(self, *, is_busy: bool) -> str:
+    def _state(self, *, is_busy: bool) -> RigWork:
         if self.is_offline:
             return "offline"
         if is_busy:

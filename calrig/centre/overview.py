@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from calrig.centre.bench_rigs import OFFLINE_S, said_outbox
-from calrig.runs.rig_status import RigState
+from calrig.model.service import RigState
 from calrig.store import Store
 from calrig.store.benches import Bench
 from calrig.store.records import Document
@@ -72,7 +72,7 @@ def _rig(rig: RigState, standing: Standing, now: datetime) -> Document:
     begun = [run for run in standing.unfinished if run.id == rig.run_id]
     check, last = standing.check, standing.last
     has_failed = last is not None and last.status in NOT_RESOLVED and not last.is_voided
-    shown = asdict(rig)
+    shown = rig.model_dump()
     for of_bench in ("bench", "hall", "last_seen_at", "clamp"):
         del shown[of_bench]
     return {

@@ -26,12 +26,12 @@ from calrig.centre.bench_rigs import BenchCounts, BenchRig, BenchRigs
 from calrig.instruments.clock import WALL, Clock
 from calrig.model.plan import MountAxis, Plan
 from calrig.model.run import AT_REST, TERMINAL, UNFINISHED
+from calrig.model.service import RigState
 from calrig.runs.assignment import NewRun, order_part, rig_followed_up_on
 from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.plan_estimates import planned_poses
 from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics
-from calrig.runs.rig_status import RigState
 from calrig.runs.single_flight import SharedTask, SingleFlight
 from calrig.runs.stage_position import check_stage_at
 from calrig.runs.stopping import BY_REQUEST

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from calrig.client import Client
-    from calrig.client.documents import FiltersStudy, NoiseStudy
     from calrig.figures.files import Rows
+    from calrig.model.noise import FiltersStudy, NoiseStudy
     from calrig.noise.filters import FilterStudy
 
     Found = tuple[dict[str, Any], Callable[[], Rows]]
@@ -207,4 +207,4 @@ def _filters_there(
 
 
 def _drawn(study: NoiseStudy | FiltersStudy) -> Rows:
-    return [[(one.caption, one.figure)] for one in study.figures]
+    return [[(one.caption, dict[str, Any](one.figure))] for one in study.figures]

@@ -11,9 +11,10 @@ from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from calrig.client.client import Client
-from calrig.client.documents import Result, RunEvent, RunRecord
+from calrig.client.documents import RunEvent, RunRecord
 from calrig.client.run import Run, result_of
 from calrig.client.transport import GIVEN_UP, Cancelled
+from calrig.model.result import Result
 
 P = ParamSpec("P")
 S = TypeVar("S")

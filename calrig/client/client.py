@@ -1,9 +1,4 @@
-"""Long work on files and runs: poses imported, noise and filters studied, runs traced and solved together.
-
-What a service has issued of a unit: calibrations, certificates, files for other programs, archives.
-
-What a service does for a program, in its own terms.
-"""
+"""The calls of a service: rigs, runs, plans, studies of files and runs, and what was issued of units."""
 
 from __future__ import annotations
 
@@ -12,22 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import quote, urlencode
 
-from calrig.client.documents import (
-    Comparison,
-    Diagnosis,
-    Estimate,
-    PlanDesign,
-    Revision,
-    RigState,
-    RunRecord,
-    Solution,
-    Status,
-)
+from calrig.client.documents import PlanDesign, RunRecord, each, typed
 from calrig.client.run import Run, Told, ignore_progress, outcome
 from calrig.client.transport import Transport, part
+from calrig.model.calibration import Revision
+from calrig.model.comparison import Comparison
+from calrig.model.diagnosis import Diagnosis
+from calrig.model.noise import FiltersStudy, NoiseStudy
+from calrig.model.plan_design import Estimate
+from calrig.model.run import Status
+from calrig.model.service import RigState
+from calrig.model.solution import Frame, Solution
 
 if TYPE_CHECKING:
-    from calrig.client.documents import FiltersStudy, NoiseStudy
     from calrig.loaded import Calibration
     from calrig.model.plan import Plan
 
@@ -57,7 +49,7 @@ class Studies(Transport):
             Invalid: the file is no such CSV; says line and column.
         """
         fields = {"unit": unit} | ({} if rig is None else {"rig": rig})
-        return Run(self, RunRecord.of(self._of_file("/api/imports", file, fields, sent, told)))
+        return Run(self, typed(RunRecord, self._of_file("/api/imports", file, fields, sent, told)))
 
     def noise(
         self,
@@ -82,10 +74,8 @@ class Studies(Transport):
         Raises:
             Invalid: the file is no such log; says line and column.
         """
-        from calrig.client.documents import NoiseStudy
-
         fields = _given(rate_hz, accel_range_g, gyro_range_dps)
-        return NoiseStudy.of(self._of_file("/api/noise", file, fields, sent, told))
+        return typed(NoiseStudy, self._of_file("/api/noise", file, fields, sent, told))
 
     def filters(
         self,
@@ -98,10 +88,8 @@ class Studies(Transport):
         told: Told = ignore_progress,
     ) -> FiltersStudy:
         """Filters side by side on a log with rest and motion; arguments and errors as of `noise`."""
-        from calrig.client.documents import FiltersStudy
-
         fields = _given(rate_hz, accel_range_g, gyro_range_dps)
-        return FiltersStudy.of(self._of_file("/api/filters", file, fields, sent, told))
+        return typed(FiltersStudy, self._of_file("/api/filters", file, fields, sent, told))
 
     def diagnose(self, run_id: str, *more: str, told: Told = ignore_progress) -> Diagnosis:
         """As `Run.diagnose`, by the run's id."""
@@ -115,7 +103,7 @@ class Studies(Transport):
         linear: bool = False,
         periods_deg: Sequence[float] = (),
         seat_std_deg: float | None = None,
-        frame: Literal["sensor", "faces"] = "sensor",
+        frame: Frame = "sensor",
         limits_deg: tuple[float, float] | None = None,
         told: Told = ignore_progress,
     ) -> Solution:
@@ -142,7 +130,7 @@ class Studies(Transport):
             "frame": frame,
             "limits_deg": limits_deg,
         }
-        return Solution.of(outcome(self, self.post("/api/solve?wait=false", body), told))
+        return typed(Solution, outcome(self, self.post("/api/solve?wait=false", body), told))
 
     def _of_file(self, path: str, file: str | Path, fields: Mapping[str, str], sent: Told, told: Told) -> Any:
         return outcome(self, self.upload(f"{path}?wait=false", Path(file), fields, sent), told)
@@ -161,7 +149,7 @@ class Issued(Transport):
     def compare(self, *units: str) -> Comparison:
         """Units side by side; all of them without any."""
         query = urlencode([("unit", unit) for unit in units])
-        return Comparison.of(self.get(f"/api/compare?{query}"))
+        return typed(Comparison, self.get(f"/api/compare?{query}"))
 
     def calibration(self, unit: str, revision: int | None = None) -> Calibration:
         """A unit's calibration, ready to be applied to readings: the one in force, or the revision."""
@@ -173,7 +161,7 @@ class Issued(Transport):
 
     def calibrations(self, unit: str) -> list[Revision]:
         """Every revision that was issued, the newest first."""
-        return Revision.each(self.get(f"{_calibration(unit)}s"))
+        return each(Revision, self.get(f"{_calibration(unit)}s"))
 
     def exported(self, unit: str, form: str, revision: int | None = None) -> str:
         """A calibration as it was issued (`json`), or made of it for another program.
@@ -225,7 +213,7 @@ class Client(Studies, Issued):
 
     def rigs(self) -> list[RigState]:
         """Every rig and what it is doing; the first is what runs take that name none."""
-        return RigState.each(self.get("/api/rigs"))
+        return each(RigState, self.get("/api/rigs"))
 
     def calibrate(
         self,
@@ -262,7 +250,7 @@ class Client(Studies, Issued):
             body["plan"] = _plain(plan)
         if queue:
             body["queue"] = True
-        return Run(self, RunRecord.of(self.post("/api/runs", body)))
+        return Run(self, typed(RunRecord, self.post("/api/runs", body)))
 
     def run(self, run_id: str) -> Run:
         """A run by its whole id."""
@@ -288,7 +276,7 @@ class Client(Studies, Issued):
         """
         wanted = {"unit": unit, "rig": rig, "status": status, "begins": begins, "limit": limit}
         query = urlencode({key: value for key, value in wanted.items() if value is not None})
-        return RunRecord.each(part(self.get(f"/api/runs?{query}"), "items"))
+        return each(RunRecord, part(self.get(f"/api/runs?{query}"), "items"))
 
     def estimate(
         self, plan: Plan | PlanDesign | Mapping[str, Any], *, rig: str | None = None, unit: str = ""
@@ -304,7 +292,7 @@ class Client(Studies, Issued):
             Invalid: the plan is wrong.
         """
         body = {"rig": rig, "unit": unit, "plan": _plain(plan)}
-        return Estimate.of(self.post("/api/plans/estimate", body))
+        return typed(Estimate, self.post("/api/plans/estimate", body))
 
     def plan(
         self,
@@ -349,7 +337,7 @@ class Client(Studies, Issued):
         }
         if keep is not None:
             body["plan"] = _plain(keep)
-        return PlanDesign.of(outcome(self, self.post("/api/plans/design?wait=false", body), told))
+        return typed(PlanDesign, outcome(self, self.post("/api/plans/design?wait=false", body), told))
 
 
 def _plain(plan: Plan | PlanDesign | Mapping[str, Any]) -> dict[str, Any]:

@@ -1,9 +1,4 @@
-"""A run's events over a line that may break: each once, in order (HTML standard, 9.2).
-
-Long work at a service: its answer however long it takes, its progress meanwhile, its end on Ctrl-C.
-
-A run at a service: followed, waited for, aborted, diagnosed.
-"""
+"""A run at a service: its events, over a connection that may break (HTML standard, 9.2), result and jobs."""
 
 from __future__ import annotations
 
@@ -11,16 +6,17 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 from urllib.parse import quote
 
-from calrig.client.documents import AT_REST, Diagnosis, JobState, Result, RunEvent, RunRecord
+from calrig.client.documents import RunEvent, RunRecord, typed
 from calrig.client.errors import INVALID, Invalid, Refused, RunFailed, ServiceError, Unreachable
 from calrig.client.transport import Transport, nap
-
-if TYPE_CHECKING:
-    from calrig.client.documents import FiltersStudy, NoiseStudy
-
+from calrig.model.diagnosis import Diagnosis
+from calrig.model.noise import FiltersStudy, NoiseStudy
+from calrig.model.result import Result
+from calrig.model.run import AT_REST
+from calrig.model.service import JobState
 
 AGAIN_S = 0.5
 """How soon a broken line is taken up again."""
@@ -96,7 +92,7 @@ def parsed(lines: Iterable[bytes]) -> Iterator[dict[str, str]]:
 def _event(fields: dict[str, str]) -> RunEvent:
     try:
         data: Any = json.loads(fields["data"])
-        return RunEvent.of({"id": int(fields["id"]), "type": fields["event"], "data": data})
+        return typed(RunEvent, {"id": int(fields["id"]), "type": fields["event"], "data": data})
     except (KeyError, ValueError) as error:
         raise Unreachable("the service's events are not calrig's") from error
 
@@ -123,16 +119,16 @@ def outcome(link: Transport, answer: Any, told: Told = ignore_progress) -> Any:
     """
     if not (isinstance(answer, dict) and {"state", "fraction", "result"} <= answer.keys()):
         return answer
-    job = JobState.of(answer)
+    job = typed(JobState, answer)
     try:
         told(job.fraction or 0.0)
         while job.state in ("queued", "running"):
             nap(LOOK_S)
-            job = JobState.of(link.get(f"/api/jobs/{job.id}"))
+            job = typed(JobState, link.get(f"/api/jobs/{job.id}"))
             told(job.fraction or 0.0)
     except BaseException as left:  # whoever does not wait any more does not want it done
         with suppress(ServiceError):
-            ended = JobState.of(link.delete(f"/api/jobs/{job.id}"))
+            ended = typed(JobState, link.delete(f"/api/jobs/{job.id}"))
             if ended.state == "done":
                 left.add_note(f"it was too late: what came of it is kept at {link.server}{ended.result}")
         raise
@@ -158,7 +154,7 @@ class Run:
     @classmethod
     def of_id(cls, link: Transport, run_id: str) -> Self:
         """The run of a whole id."""
-        return cls(link, RunRecord.of(link.get(f"/api/runs/{quote(run_id, safe='')}")))
+        return cls(link, typed(RunRecord, link.get(f"/api/runs/{quote(run_id, safe='')}")))
 
     def __repr__(self) -> str:
         return f"<calrig run {self.id} of {self.unit!r}, {self._record.status}>"
@@ -170,7 +166,7 @@ class Run:
 
     def look(self) -> RunRecord:
         """The run as it is now."""
-        self._record = RunRecord.of(self._link.get(self._path))
+        self._record = typed(RunRecord, self._link.get(self._path))
         return self._record
 
     def events(self, after: int = 0, *, away: Away = ignore_error) -> Iterator[RunEvent]:
@@ -235,7 +231,7 @@ class Run:
             told: is told the share that is done.
         """
         asked = self._link.post(f"{self._path}/diagnosis?wait=false", {"runs": list(more)})
-        return Diagnosis.of(outcome(self._link, asked, told))
+        return typed(Diagnosis, outcome(self._link, asked, told))
 
     def noise(self, *, told: Told = ignore_progress) -> NoiseStudy:
         """The noise in the log of a static run.
@@ -243,15 +239,14 @@ class Run:
         Args:
             told: is told the share that is done, where the service can say.
         """
-        from calrig.client.documents import NoiseStudy
-
-        return NoiseStudy.of(outcome(self._link, self._link.get(f"{self._path}/noise?wait=false"), told))
+        asked = self._link.get(f"{self._path}/noise?wait=false")
+        return typed(NoiseStudy, outcome(self._link, asked, told))
 
     def filters(self, *, told: Told = ignore_progress) -> FiltersStudy:
         """The filters side by side on its samples; `told` as of `noise`."""
-        from calrig.client.documents import FiltersStudy
-
-        return FiltersStudy.of(outcome(self._link, self._link.get(f"{self._path}/filters?wait=false"), told))
+        return typed(
+            FiltersStudy, outcome(self._link, self._link.get(f"{self._path}/filters?wait=false"), told)
+        )
 
     def poses(self) -> list[dict[str, Any]]:
         """Its poses, in the columns of docs/reference/file-formats.md."""
@@ -268,7 +263,7 @@ class Run:
         return figure
 
     def _ask(self, what: str, body: dict[str, Any] | None = None) -> RunRecord:
-        self._record = RunRecord.of(self._link.post(f"{self._path}/{what}", body or {}))
+        self._record = typed(RunRecord, self._link.post(f"{self._path}/{what}", body or {}))
         return self._record
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict
 
 
@@ -16,6 +18,11 @@ class Model(BaseModel):
         frozen=True,
         extra="ignore",
         from_attributes=True,
+        defer_build=True,  # a command that validates few of them starts sooner
         json_schema_extra={"additionalProperties": False},  # an answer has these fields and no others
         json_schema_serialization_defaults_required=True,
     )
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a field by its name, as programs read it that were written for a dictionary."""
+        return getattr(self, name)

@@ -3,13 +3,12 @@
 `calrig.calibration.uncertainty.verdict` makes verdicts; `calrig.store.verdicts` finds runs by them.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter
+from pydantic import BaseModel
 
 from calrig.model.base import Model
 
@@ -18,23 +17,14 @@ Left = Literal["noise", "more_than_noise"]
 Interval = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """What a unit must comply with (CONTRACT section 2, `/api/limits`); None sets no limit on that figure.
+class Limit(Model):
+    """Limits that units are tested against (CONTRACT section 2); null in a field sets no limit.
 
-    Attributes:
-        name: title for users.
-        units: pattern of serial numbers, `*` and `?` as in file names, case-sensitive.
-        rig: only results of this rig; None for all.
-        max_error_deg: largest error of a calibrated elevation over the range.
-        bias_deg, scale: lowest and highest allowed value.
-        rms_deg: RMS of the residual after every accepted effect.
-        expanded_uncertainty_deg: largest allowed expanded uncertainty.
-        rule: decision rule, `simple` or `guarded`.
-        guard: guard band w over U of the guarded rule.
+    `units` is a pattern of serial numbers, `*` and `?` as in file names, case-sensitive; `rig` restricts it
+    to results of that rig. `max_error_deg` limits the error of a calibrated elevation over the range,
+    `rms_deg` the RMS residual after everything accepted; `bias_deg` and `scale` are lowest and highest.
+    `guard` is w/U of the guarded rule.
     """
-
-    __pydantic_config__: ClassVar[ConfigDict] = Model.model_config
 
     name: str
     units: str = "*"
@@ -47,23 +37,10 @@ class Limit:
     rule: Literal["simple", "guarded"] = "simple"
     guard: float = 1.0
 
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Limit:
-        """Return the limit of a JSON object with these keys; unknown keys are ignored."""
-        return _LIMIT.validate_python(document)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the limit ready for JSON."""
-        document: dict[str, Any] = _LIMIT.dump_python(self, mode="json")
-        return document
-
     @property
     def rule_in_words(self) -> str:
         """Return the decision rule for a sentence, such as `guarded rule, w = 1·U`."""
         return "simple rule" if self.rule == "simple" else f"guarded rule, w = {self.guard:g}·U"
-
-
-_LIMIT = TypeAdapter(Limit)
 
 
 class Figures(BaseModel):

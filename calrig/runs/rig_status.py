@@ -1,38 +1,17 @@
-"""Report what each rig is doing, without opening a port.
-
-What each rig is doing, as far as it can be told without opening a port.
-
-Rigs as a bench tells its centre of them with each heartbeat, and as the centre reads that again.
-"""
+"""What each rig is doing, without opening a port; and the same as a bench reports it to its centre."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from datetime import datetime
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
+from calrig.model.service import RigState, RigWork
 from calrig.runs.presence import BoardCheck
 from calrig.settings import BoardSettings, RigSettings, StageSettings
-
-
-@dataclass(frozen=True, slots=True)
-class RigState:
-    """A rig as `GET /api/rigs` shows it; of a centre's, with the bench that has it and when that was seen."""
-
-    name: str
-    stage: str
-    imu: str
-    simulated: bool
-    state: str
-    run_id: str | None
-    bench: str | None = None
-    hall: str | None = None
-    last_seen_at: datetime | None = None
-    clamp: str | None = None
 
 
 def state_of(rig: RigSettings, run_id: str | None, *, unreachable: bool) -> RigState:
@@ -43,12 +22,11 @@ def state_of(rig: RigSettings, run_id: str | None, *, unreachable: bool) -> RigS
         run_id: the run that it carries out, or None.
         unreachable: whether the last run did not reach it.
     """
+    state: RigWork = "idle"
     if run_id is not None:
         state = "busy"
     elif unreachable or _port_is_absent(rig):
         state = "unreachable"
-    else:
-        state = "idle"
     return RigState(
         name=rig.name,
         stage=rig.stage.driver if rig.stage else "",

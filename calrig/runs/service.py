@@ -14,6 +14,7 @@ from calrig.analysis.imports import check_serial
 from calrig.analysis.revisions import Issuer, Releases
 from calrig.analysis.stored_runs import stored_run
 from calrig.model.plan import MountAxis, Plan
+from calrig.model.service import RigState
 from calrig.runs.assignment import NewRun, rig_followed_up_on
 from calrig.runs.control import End
 from calrig.runs.crew import WorkerRegistry
@@ -23,7 +24,7 @@ from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics, check_transition
 from calrig.runs.resume import resumed_task
 from calrig.runs.rig import require_in_date
-from calrig.runs.rig_status import RigState, state_of
+from calrig.runs.rig_status import state_of
 from calrig.runs.single_flight import SharedTask
 from calrig.runs.stage_position import check_stage_at
 from calrig.runs.stopping import StopService

@@ -7,10 +7,10 @@ from typing import Protocol
 
 from calrig.analysis.revisions import Issuer
 from calrig.model.plan import MountAxis, Plan
+from calrig.model.service import RigState
 from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics
-from calrig.runs.rig_status import RigState
 from calrig.runs.single_flight import SharedTask
 from calrig.settings import RigSettings
 from calrig.store import Run, Store

@@ -29,11 +29,12 @@ class Limits(Repository):
             if before == tuple(limits):
                 return
             session.exec(delete(LimitTable))
+            then, now = ([one.model_dump(mode="json") for one in some] for some in (before, limits))
             session.add_all(
-                LimitTable(position=place, name=limit.name, document=limit.to_dict())
-                for place, limit in enumerate(limits)
+                LimitTable(position=place, name=document["name"], document=document)
+                for place, document in enumerate(now)
             )
-            detail = {"before": [one.to_dict() for one in before], "now": [one.to_dict() for one in limits]}
+            detail = {"before": then, "now": now}
             append(session, Act("limits_changed", who=who, reason=reason, detail=detail))
 
 
@@ -42,5 +43,5 @@ def limits_of(session: Session) -> tuple[Limit, ...]:
     known: tuple[Limit, ...] | None = session.info.get(_IN_THIS_SESSION)
     if known is None:
         rows = session.exec(select(LimitTable).order_by(col(LimitTable.position)))
-        known = session.info[_IN_THIS_SESSION] = tuple(Limit.from_dict(row.document) for row in rows)
+        known = session.info[_IN_THIS_SESSION] = tuple(Limit.model_validate(row.document) for row in rows)
     return known

@@ -77,7 +77,7 @@ def test_comparison_query(benchmark, store):
 
 def test_comparison_with_changes_and_due_dates(benchmark, store):
     """As `GET /api/compare` answers for a store it has not seen yet: aim 300 ms."""
-    limit = Limit("all", bias_deg=(-1.0, 30.0), scale=(0.98, 1.02))
+    limit = Limit(name="all", bias_deg=(-1.0, 30.0), scale=(0.98, 1.02))
 
     def answer() -> bytes:
         histories._changes.cache_clear()

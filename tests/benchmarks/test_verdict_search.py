@@ -19,8 +19,8 @@ from calrig.store.tables import RunTable, UnitTable
 UNITS, RUNS = 2_000, 20_000
 FIRST_DAY = datetime(2024, 1, 1, 8, tzinfo=UTC)
 LIMITS = [
-    Limit("flight", "U0*", max_error_deg=0.5, rule="guarded"),
-    Limit("all", scale=(0.9, 1.1), rms_deg=0.5, rule="guarded"),
+    Limit(name="flight", units="U0*", max_error_deg=0.5, rule="guarded"),
+    Limit(name="all", scale=(0.9, 1.1), rms_deg=0.5, rule="guarded"),
 ]
 
 

@@ -16,11 +16,15 @@ THETA_DEG = np.tile(np.arange(-60.0, 61.0, 10.0), 4)
 
 
 def guarded(guard=1.0, **asked):
-    return Limit("guarded", rule="guarded", guard=guard, **asked)
+    return Limit(name="guarded", rule="guarded", guard=guard, **asked)
 
 
 def test_the_first_limit_that_matches_a_unit_counts():
-    limits = [Limit("flight", "AS-*", "bench-1"), Limit("all of them", "AS-*"), Limit("one", "X-0?")]
+    limits = [
+        Limit(name="flight", units="AS-*", rig="bench-1"),
+        Limit(name="all of them", units="AS-*"),
+        Limit(name="one", units="X-0?"),
+    ]
 
     def name(unit, rig):
         found = limit_for(limits, unit, rig)
@@ -33,9 +37,11 @@ def test_the_first_limit_that_matches_a_unit_counts():
 
 
 def test_a_limit_comes_back_from_its_json():
-    limit = Limit("all", "AS-*", bias_deg=(-1.0, 1.0), max_error_deg=0.5, rule="guarded", guard=0.5)
-    assert Limit.from_dict(limit.to_dict()) == limit
-    assert limit.to_dict()["bias_deg"] == [-1.0, 1.0]
+    limit = Limit(
+        name="all", units="AS-*", bias_deg=(-1.0, 1.0), max_error_deg=0.5, rule="guarded", guard=0.5
+    )
+    assert Limit.model_validate(limit.model_dump(mode="json")) == limit
+    assert limit.model_dump(mode="json")["bias_deg"] == [-1.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -53,15 +59,15 @@ def test_a_limit_comes_back_from_its_json():
 def test_the_guarded_rule_has_four_answers_and_the_simple_one_two(value, simple, with_guard):
     """0.5° allowed, U = 0.1°; just on a bound counts as the better side, to a hair of arithmetic."""
     beyond_deg = round(value - 0.5, 9)
-    assert decide(Limit("simple"), beyond_deg, 0.1) == simple
+    assert decide(Limit(name="simple"), beyond_deg, 0.1) == simple
     assert decide(guarded(), beyond_deg, 0.1) == with_guard
 
 
 @pytest.mark.parametrize("rule", ["simple", "guarded"])
 @pytest.mark.parametrize("value", [-10.0, -0.1, 0.0, 0.1, 10.0])
 def test_nothing_passes_whose_uncertainty_is_not_known(rule, value):
-    assert decide(Limit("any", rule=rule), value, None) != "pass"
-    assert decide(Limit("any", rule=rule), value, 0.1, known=False) != "pass"
+    assert decide(Limit(name="any", rule=rule), value, None) != "pass"
+    assert decide(Limit(name="any", rule=rule), value, 0.1, known=False) != "pass"
 
 
 def test_of_an_interval_the_nearer_end_counts():
@@ -94,14 +100,14 @@ def risks(limit, tur):
 
 def test_a_guard_band_of_u_buys_few_false_acceptances_with_many_false_rejections():
     """At a test uncertainty ratio of 4, false accepts 0.86 → 0.02 %, false rejects 1.55 → 10.4 %."""
-    false_accept, false_reject = risks(Limit("simple"), 4.0)
+    false_accept, false_reject = risks(Limit(name="simple"), 4.0)
     assert (false_accept, false_reject) == (pytest.approx(0.0086, abs=1e-4), pytest.approx(0.0155, abs=1e-4))
     false_accept, false_reject = risks(guarded(), 4.0)
     assert (false_accept, false_reject) == (pytest.approx(0.0002, abs=2e-5), pytest.approx(0.104, abs=1e-3))
 
 
 def test_a_worse_stage_costs_more_of_both_and_at_a_ratio_of_one_a_full_guard_passes_nothing():
-    accepts, rejects = zip(*(risks(Limit("simple"), tur) for tur in (4.0, 1.5, 1.0)), strict=True)
+    accepts, rejects = zip(*(risks(Limit(name="simple"), tur) for tur in (4.0, 1.5, 1.0)), strict=True)
     assert list(accepts) == sorted(accepts)
     assert list(rejects) == sorted(rejects)
     assert risks(guarded(), 1.5)[1] > 0.5
@@ -131,9 +137,9 @@ STAGE = Reference(0.29)  # a limit of half a degree: U = 0.48° alone
     [
         (guarded(max_error_deg=0.4), STAGE, "w = 1·U with U = 0.48° of the stage alone"),
         (guarded(scale=(0.999, 1.001)), STAGE, "allowed to the scale"),
-        (Limit("u", expanded_uncertainty_deg=0.4), STAGE, "more than the 0.40° allowed"),
-        (Limit("bias", bias_deg=(-1.0, 1.0)), STAGE, "the level is not known"),
-        (Limit("any", max_error_deg=5.0), None, "does not say what the stage's angle is worth"),
+        (Limit(name="u", expanded_uncertainty_deg=0.4), STAGE, "more than the 0.40° allowed"),
+        (Limit(name="bias", bias_deg=(-1.0, 1.0)), STAGE, "the level is not known"),
+        (Limit(name="any", max_error_deg=5.0), None, "does not say what the stage's angle is worth"),
     ],
 )
 def test_what_no_unit_can_pass_on_a_stage_is_said_before_it_moves(limit, reference, why):
@@ -147,7 +153,7 @@ def test_what_no_unit_can_pass_on_a_stage_is_said_before_it_moves(limit, referen
     [
         (guarded(max_error_deg=0.5), STAGE),
         (guarded(0.5, max_error_deg=0.4), STAGE),
-        (Limit("simple", max_error_deg=0.1), STAGE),
+        (Limit(name="simple", max_error_deg=0.1), STAGE),
         (guarded(max_error_deg=0.4), Reference(0.29, "setting")),
         (guarded(scale=(0.99, 1.01)), STAGE),
     ],

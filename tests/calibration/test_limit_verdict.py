@@ -33,7 +33,7 @@ def poses(n=52, scale=1.002, bias_deg=0.8, bent_deg=0.0, seed=0):
 
 def judged(reference=STAGE, calibration=None, move_mismatches=0, *, of=None, **asked):
     result = build_result(of or poses(), None, (), reference)
-    limit = Limit("flight", **asked)
+    limit = Limit(name="flight", **asked)
     return make_verdict(result, limit=limit, calibration=calibration, move_mismatches=move_mismatches)
 
 
@@ -126,7 +126,7 @@ def test_what_fails_fails_however_doubtful_it_is():
 
 def test_a_result_of_an_earlier_version_is_not_decided():
     result = build_result(poses(), None, (), STAGE).model_copy(update={"over_range": None})
-    one = make_verdict(result, limit=Limit("flight", max_error_deg=1.0))
+    one = make_verdict(result, limit=Limit(name="flight", max_error_deg=1.0))
     assert one.answer == "undecided"
     assert any("earlier version" in said for said in one.says)
 
@@ -157,7 +157,7 @@ def verified(at_deg, elevations_deg=(20.0,) * 6, stated=STAGE):
 
 def test_a_verification_is_held_as_found_against_the_document():
     """The same shift everywhere may be the clamping's; a fan of errors is the unit's."""
-    limit = Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+    limit = Limit(name="flight", max_error_deg=0.1, scale=(0.5, 1.5))
     everywhere = tuple(range(-60, 61, 10))
     shifted = make_verdict(verified(0.3, everywhere), verification=True, limit=limit)
     assert (shifted.answer, shifted.left) == ("pass", "more_than_noise")
@@ -170,7 +170,7 @@ def test_a_verification_is_held_as_found_against_the_document():
 
 def test_at_one_elevation_nothing_is_relative_to_the_others():
     one = make_verdict(
-        verified(0.3), verification=True, limit=Limit("flight", max_error_deg=0.1, scale=(0.5, 1.5))
+        verified(0.3), verification=True, limit=Limit(name="flight", max_error_deg=0.1, scale=(0.5, 1.5))
     )
     assert one.answer == "undecided"
     assert any(said.startswith("Largest error: not decided") for said in one.says)

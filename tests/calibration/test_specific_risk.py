@@ -36,7 +36,7 @@ def found(error_deg=0.0, nodes_deg=NODES_DEG, **options):
 
 
 def probability(limit, one, reference, *, level_known=True, rms_deg=0.0):
-    asked = Limit("", **limit)
+    asked = Limit(name="", **limit)
     return probability_of_conformity(asked, one, reference, rms_deg=rms_deg, level_known=level_known)
 
 

@@ -50,7 +50,7 @@ def random_sources(rng: random.Random) -> Sources:
     run = _run(rng, revision, provenance)
     stored = [StoredPose(k, pose, None) for k, pose in enumerate(poses)]
     laboratory = LaboratorySettings(**_some(rng, ("name", "address", "decision_rule", "authorised_by")))
-    limit = Limit("flight", max_error_deg=0.5, rule="guarded", scale=(0.9, 1.1))
+    limit = Limit(name="flight", max_error_deg=0.5, rule="guarded", scale=(0.9, 1.1))
     return Sources(
         revision=revision,
         run=run,

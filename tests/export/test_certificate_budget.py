@@ -108,7 +108,7 @@ def test_the_risk_that_a_pass_is_wrong_is_what_many_such_measurements_would_have
     reference = Reference(u_deg, "harmonic", "normal")
     poses, document = calibrated(reference)
     result = build_result(poses, reference=reference)
-    said = make_verdict(result, limit=Limit("", max_error_deg=allowed_deg), calibration=document)
+    said = make_verdict(result, limit=Limit(name="", max_error_deg=allowed_deg), calibration=document)
 
     over, rng = result.to_dict()["over_range"], np.random.default_rng(1)
     theta = np.array(over["elevation_deg"])

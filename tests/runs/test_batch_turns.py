@@ -33,7 +33,7 @@ RESULT = Result(
 
 
 def run(run_id: str, status: Any = "completed", bias_limit_deg: float | None = None, **more: Any) -> Run:
-    limit = None if bias_limit_deg is None else Limit("l", bias_deg=(-bias_limit_deg, bias_limit_deg))
+    limit = None if bias_limit_deg is None else Limit(name="l", bias_deg=(-bias_limit_deg, bias_limit_deg))
     done = Progress(poses_done=8, poses_total=8, fraction=1.0, remaining_s=0.0)
     made = Run(
         id=run_id, unit="A", rig="r", status=status, plan={}, progress=done, result=None, diagnosis=None,

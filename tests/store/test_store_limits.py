@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from calrig.calibration.uncertainty.conformity import Limit
 
-FLIGHT = Limit("flight", "AS-*", max_error_deg=0.3, rule="guarded")
-ALL = Limit("all", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01))
+FLIGHT = Limit(name="flight", units="AS-*", max_error_deg=0.3, rule="guarded")
+ALL = Limit(name="all", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01))
 
 
 def test_limits_come_back_in_their_order(store):

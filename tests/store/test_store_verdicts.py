@@ -20,10 +20,10 @@ from calrig.store.verdicts import Judged
 
 STAGE, PLANS = Reference(0.029, "harmonic"), [{"kind": "calibration"}, {"kind": "verification"}, None]
 LIMITS = [
-    Limit("error", "A*", max_error_deg=0.12, rule="guarded"),
-    Limit("line", rig="r", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01), rule="guarded"),
-    Limit("rms", rms_deg=0.05, expanded_uncertainty_deg=0.055),
-    Limit("scale", "?", scale=(1.0015, 1.0025)),
+    Limit(name="error", units="A*", max_error_deg=0.12, rule="guarded"),
+    Limit(name="line", rig="r", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01), rule="guarded"),
+    Limit(name="rms", rms_deg=0.05, expanded_uncertainty_deg=0.055),
+    Limit(name="scale", units="?", scale=(1.0015, 1.0025)),
 ]
 
 

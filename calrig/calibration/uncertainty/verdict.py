@@ -469,7 +469,7 @@ def _probability(limit: Limit, measured: _Measured) -> float | None:
     if asked is not None and (measured.found.expanded_uncertainty_deg or 0.0) > asked:
         return 0.0
     return probability_of_conformity(
-        replace(limit, name="", units="*", rig=None, rule="simple", guard=1.0),
+        limit.model_copy(update={"name": "", "units": "*", "rig": None, "rule": "simple", "guard": 1.0}),
         measured.found,
         measured.reference,
         rms_deg=rms_deg,

@@ -1,0 +1,119 @@
+"""A unit's issued calibration (CONTRACT section 6), and its state among the unit's revisions."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import ConfigDict, Field
+
+from calrig.model.base import Model
+from calrig.model.result import Extremes
+from calrig.model.verdict import Verdict
+
+RevisionStatus = Literal["draft", "in_force", "superseded", "withdrawn"]
+
+
+class NamedEffect(Model):
+    """An accepted effect of the unit itself."""
+
+    name: str
+    parameters: dict[str, float | None]
+    formula: str
+
+
+class CalibrationGyro(Model):
+    """The gyro's part of a calibration."""
+
+    bias_dps: list[float | None] = Field(min_length=3, max_length=3)
+    scale: float | None
+
+
+class Uncertainty(Model):
+    """Standard uncertainties of a calibrated elevation; the expanded uncertainty contains all of them."""
+
+    type_a_deg: float | None
+    type_b_deg: float | None
+    reference_deg: float | None
+    reference_bias_deg: float | None
+    reference_scale: float | None
+
+
+class Accelerometer(Model):
+    """true = matrix·(raw − bias)."""
+
+    bias_g: list[float]
+    matrix: list[list[float]]
+
+
+class Calibration(Model):
+    """A unit's calibration (CONTRACT section 6); it never changes once issued.
+
+    It is served and hashed as the bytes that were issued, never as a dump of this model.
+    """
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=False)
+
+    schema_: Literal["calrig.calibration/2"] = Field(alias="schema")
+    unit: str
+    revision: int
+    issued_at: datetime
+    sha256: str
+    run_id: str
+    calibrated_at: datetime | None
+    rig: str | None
+    range_deg: list[float] = Field(min_length=2, max_length=2)
+    model: str
+    bias_deg: float
+    scale: float
+    covariance: list[list[float]] | None
+    effects: list[NamedEffect]
+    gyro: CalibrationGyro | None
+    rms_raw_deg: float
+    rms_calibrated_deg: float | None
+    rms_with_effects_deg: float | None
+    expanded_uncertainty_deg: float | None
+    coverage_factor: float | None
+    coverage: float
+    level_known: bool
+    level_std_deg: float | None
+    accelerometer: Accelerometer | None
+    uncertainty: Uncertainty
+    temperature_c: Extremes | None
+    provenance: dict[str, Any]
+    warnings: list[str] = Field(
+        default=[],
+        description="Why the verdict was not reliable when made; absent in older documents.",
+    )
+
+
+class Revision(Model):
+    """An issued revision: its run, who made it and why, and what has changed since of its basis."""
+
+    revision: int
+    status: RevisionStatus
+    run_id: str
+    effects: list[str]
+    issued_at: datetime
+    issued_by: str | None
+    reason: str | None
+    sha256: str
+    verdict: Verdict
+    warnings: list[str] = Field(
+        description="Why it was not released automatically; a release needs a reason."
+    )
+    stale: list[str]
+
+
+class IssuedAct(Model):
+    """One act on a revision of a unit's calibration."""
+
+    at: datetime
+    what: Literal["drafted", "released", "withdrawn"]
+    unit: str
+    revision: int
+    run_id: str
+    sha256: str
+    by: str | None
+    reason: str | None
+    warnings: list[str] = Field(description="Those of the revision.")

@@ -1,0 +1,118 @@
+"""Units side by side: their calibrations, how each drifts, and whether it changed."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Literal
+
+from pydantic import Field
+
+from calrig.model.base import Model
+from calrig.model.diagnosis import EffectFound
+from calrig.model.result import Extremes, FittedLine
+from calrig.model.run import Suspect
+
+
+class Difference(Model):
+    """A run less the one before it; `…_sigma` are differences over their standard uncertainties.
+
+    The uncertainty contains the standard errors of both runs, the remounting and between-day components
+    (pooled over all units) and, from rig to rig, the uncertainty of the stages. `p_value` and the other
+    figures are null where they cannot be computed yet.
+    """
+
+    from_: str = Field(alias="from")
+    to: str
+    days: float
+    bias_deg: float | None
+    bias_std_deg: float | None
+    bias_sigma: float | None
+    scale: float | None
+    scale_std: float | None
+    scale_sigma: float | None
+    p_value: float | None
+    verdict: Literal["changed", "unchanged", "not_known"]
+    effects: list[EffectFound] | None = Field(
+        description="Effects that changed, by the diagnosis of both runs together: null without one."
+    )
+    says: str
+
+
+class Change(Difference):
+    """A difference, and whether the unit's control chart signals at the later run (null without a chart)."""
+
+    signal: bool | None
+
+
+class ComparedRun(FittedLine):
+    """The figures of one completed, not voided calibration."""
+
+    run_id: str
+    finished_at: datetime
+    temperature_c: Extremes
+    effects: list[str]
+    suspect: Suspect | None
+
+
+class ComparedUnit(Model):
+    """A unit's calibrations, the oldest first, its drift, and whether it changed.
+
+    `p_value` is that of the unit over all its runs, `change` its most significant difference.
+    """
+
+    unit: str
+    runs: list[ComparedRun]
+    drift_deg_per_day: float | None
+    p_value: float | None
+    changed: bool
+    change: Difference | None
+    due_at: datetime | None
+    overdue: bool
+    due_method: Literal["interval", "drift"] | None
+    due_says: str
+
+
+class Spread(Model):
+    """Standard deviation between units, and of the runs of one unit about their mean (repeatability)."""
+
+    between_units_std: float | None
+    within_unit_std: float | None
+    says: str
+
+
+class Spreads(Model):
+    """The spread of bias and scale."""
+
+    bias_deg: Spread
+    scale: Spread
+
+
+class Reproducibility(Model):
+    """Remounting, between-day and between-rig components of a figure, over all units.
+
+    `day_std` is null where it cannot be separated from `reclamping_std`, which then contains both; `freedom`
+    is the number of degrees of freedom.
+    """
+
+    reclamping_std: float
+    day_std: float | None
+    rig_std: float
+    freedom: int
+
+
+class Reproducibilities(Model):
+    """Reproducibility of bias and scale (null where the runs do not suffice), and the rule for changes."""
+
+    bias_deg: Reproducibility | None
+    scale: Reproducibility | None
+    false_discovery_rate: float
+    rule: str
+    says: str
+
+
+class Comparison(Model):
+    """Units side by side, those first that changed."""
+
+    units: list[ComparedUnit]
+    spread: Spreads
+    repeatability: Reproducibilities

@@ -1,0 +1,43 @@
+"""What a service reports of itself: its rigs and its jobs."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Literal
+
+from pydantic import Field
+
+from calrig.model.base import Model
+
+RigWork = Literal["idle", "busy", "unreachable", "offline"]
+
+
+class RigState(Model):
+    """A rig and what it is doing; `stage`, `imu` and `clamp` are its drivers, null where hands turn the unit.
+
+    At a centre with the bench that has it; `offline`, with the last known state, once the bench is silent.
+    """
+
+    name: str
+    stage: str
+    imu: str
+    simulated: bool
+    state: RigWork
+    run_id: str | None
+    bench: str | None = None
+    hall: str | None = None
+    last_seen_at: datetime | None = None
+    clamp: str | None = None
+
+
+class JobState(Model):
+    """A job, running or ended."""
+
+    id: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    fraction: float | None = Field(description="Share that is done; null where the work does not report it.")
+    result: str | None = Field(description="Path of the result, once it is done.")
+    error: str | None
+    error_status: int | None = Field(
+        default=None, description="Status with which its call would have answered the error."
+    )
