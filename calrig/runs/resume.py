@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -99,7 +99,7 @@ def waiting_task(
     plan = Plan.model_validate(run.plan)
     verifies = _verified(store, run, plan, settings)
     origin = {key: value for key, value in run.provenance.items() if key != "stage_map"}
-    now = replace(run, provenance={**origin, **provenance_part(store, settings.name, maps)})
+    now = run.model_copy(update={"provenance": {**origin, **provenance_part(store, settings.name, maps)}})
     return RunAssignment(now, settings, plan, planned_poses(plan, settings), verifies=verifies)
 
 

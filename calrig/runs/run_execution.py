@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 
 from calrig.analysis.results import ending_of, fitted
@@ -174,5 +173,5 @@ class RunExecution:
         result = fitted(poses, accepted, self._origin, gyro, ending)
         self.fields["result"] = result
         excluded = [one.index for one in stored if one.excluded is not None]
-        now = replace(run, provenance=self._origin, faults=self.fields["faults"])
+        now = run.model_copy(update={"provenance": self._origin, "faults": self.fields["faults"]})
         self.draft = self._issuer.completing(now, Fitted(poses, result, accepted, excluded))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -135,7 +134,7 @@ class RunService:
         worker = self.crew.of_run(run_id)  # before the store is asked: it is let go once that is told
         untold = None if worker is None else worker.untold
         run = stored_run(self.store, run_id)
-        return run if untold is None else replace(run, **untold)
+        return run if untold is None else run.model_copy(update=untold)
 
     def abort(self, run_id: str) -> Run:
         """Stops the stage now and ends the run; returns once it has ended, or two seconds after the stage.

@@ -9,7 +9,6 @@ import logging
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from calrig import logs
@@ -161,7 +160,7 @@ class Worker:
     def as_known(self) -> Run:
         """The run, without asking the store: as it began, and how it ended if that is known."""
         ended: RunChanges = self.untold or {"status": "aborted"}
-        return replace(self._task.run, **ended)
+        return self._task.run.model_copy(update=ended)
 
     def give_up(self, store: Store, end: End) -> None:
         """Writes the end down in place of a run whose devices, or store, keep it from doing so in time."""

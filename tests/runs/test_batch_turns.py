@@ -40,12 +40,12 @@ def run(run_id: str, status: Any = "completed", bias_limit_deg: float | None = N
         faults={}, follows=None, provenance={}, operator=None, note=None, voided=None, created_at=NOW,
         started_at=NOW, finished_at=NOW, error=None, limit=limit,
     )  # fmt: skip
-    return replace(made, result=RESULT if status == "completed" else None, **more)
+    return made.model_copy(update={"result": RESULT if status == "completed" else None, **more})
 
 
 POOR, PLAIN, UNDECIDED = run("p", "failed"), run("d"), run("u", bias_limit_deg=1.0)
 FOLLOWS_NOTHING = RESULT.model_copy(update={"rms_calibrated_deg": None})
-FAILING = replace(UNDECIDED, id="p", result=FOLLOWS_NOTHING)
+FAILING = UNDECIDED.model_copy(update={"id": "p", "result": FOLLOWS_NOTHING})
 NOTHING = Progress(poses_done=0, poses_total=8, fraction=0.0, remaining_s=None)
 
 
