@@ -1,8 +1,6 @@
-"""Who is next in a list of units: worked out from its turns and what became of their runs, nothing else.
+"""Batches: units that are calibrated one after the other, which one is next, and how each ended.
 
-Serial numbers as a scanner, a person or a spreadsheet gives them.
-
-Units calibrated one after the other, from a list that the service keeps: all pages show the same.
+Every page shows the same batch, because the service stores it.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
-"""Check which unit a rig's board reports, before anybody presses Enter.
+"""Check which unit a rig's board reports, before a run starts.
 
-What a look at a rig's board gave, and what that says of the unit which is asked for.
-
-The two are apart because they may be on two machines: the look is a bench's, the question its centre's.
-
-Whether a unit is there, before anybody presses Enter: its board is looked at while nobody uses the rig.
-
-Only the board's port is opened: the stage's stays free for a stop at any moment, and nothing moves. It is
-looked at for as long as somebody asks; a run that begins goes on with the open port, where the board may.
+Only the board's port is opened: the stage's port stays free for a stop, and nothing moves. A board is checked
+as long as requests for it arrive; a run that starts takes over the open port if the board allows it. Check
+and evaluation are separate, because a bench checks and its centre evaluates.
 """
 
 from __future__ import annotations
@@ -31,7 +26,7 @@ from calrig.instruments.types import Board, BoardIdentity, Samples
 from calrig.runs.assignment import OpenBoardHandover
 from calrig.runs.crew import WorkerRegistry
 from calrig.runs.mounting import Mount, angle_about_deg
-from calrig.runs.stage_position import MOST_OFF_DEG
+from calrig.runs.rig import MOST_OFF_DEG
 from calrig.settings import BoardSettings, RigSettings
 from calrig.store import Store, StoreError
 

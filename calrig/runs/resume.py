@@ -1,9 +1,8 @@
-"""Resuming an interrupted run: what was measured, and whether rig, board, stage and unit are still the same.
+"""Resume an interrupted run: load its poses, and check that rig, board, stage and unit are unchanged.
 
-The last pose is measured once more, from the side it was approached: the unit is to read there what it read.
-
-The board's clock begins anew. The run's time goes on by the wall's clock from its beginning, or from its last
-sample where a rig's clocks run faster than life.
+The last pose is measured again with the same approach direction; its reading must repeat. The board's clock
+starts again at 0. The run's time continues by the wall clock from its start, or from its last sample if the
+clocks of the rig run faster than real time.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Report what each rig is doing, without opening a port.
-
-What each rig is doing, as far as it can be told without opening a port.
-
-Rigs as a bench tells its centre of them with each heartbeat, and as the centre reads that again.
-"""
+"""Report what each rig is doing, without opening a port; also as a bench reports it to its centre."""
 
 from __future__ import annotations
 

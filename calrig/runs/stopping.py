@@ -1,4 +1,4 @@
-"""The red button: a rig's stage is told to stop at once, and whoever asked hears whether it was seen to."""
+"""Stop service: stop a rig's stage at once and report whether standstill was confirmed."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Sequential stopping of a run: CONTRACT section 9's `until`.
-
-What the reference of a rig is worth to a run, and that no run waits for what is below it.
-"""
+"""Sequential stopping of a run by `until` (CONTRACT section 9), limited by the reference uncertainty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lists of units that are calibrated one after the other: who is next, where, and which run each got."""
+"""Batches of units: which unit is next, on which rig, and which run each has."""
 
 from __future__ import annotations
 

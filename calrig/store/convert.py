@@ -1,4 +1,4 @@
-"""Between rows of the tables and the records that callers see."""
+"""Convert between rows of the tables and records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the store gives and takes: plain records that know nothing of tables."""
+"""Records that the store returns and accepts. They do not depend on the tables."""
 
 from __future__ import annotations
 

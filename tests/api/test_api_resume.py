@@ -15,7 +15,7 @@ from command_line import calrig, reason
 from support import ended, fast, known_as, running_service, serving
 
 from calrig.plan import Plan
-from calrig.runs.launcher import mark_interrupted
+from calrig.runs.run_queue import mark_interrupted
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 
