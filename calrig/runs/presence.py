@@ -33,7 +33,7 @@ from calrig.store import Store, StoreError
 MOVES_G, MOVES_DPS, MOVES_DEG = 0.03, 2.0, 1.0
 """Standard deviation over a look of a unit that somebody has in hand; one at rest has a tenth of it."""
 WEIGHT_G = (0.8, 1.2)
-"""What a healthy accelerometer feels of gravity."""
+"""Gravity as a sound accelerometer measures it."""
 
 State = Literal["looking", "absent", "moving", "askew", "wrong", "there"]
 
@@ -56,13 +56,13 @@ class PresenceStatus:
         """The same, where that unit is to be there."""
         if self.serial and self.serial != unit:
             return PresenceStatus(
-                "wrong", self.serial, f"The board says that it is {self.serial}, not {unit}."
+                "wrong", self.serial, f"The board reports serial number {self.serial}, not {unit}."
             )
         if self.state != "there":
             return self
-        known = f"{unit} is there, says its board."
+        known = f"Board of {unit} detected."
         if not self.serial:
-            known = f"A unit is there; its board has no serial: see that it is {unit}."
+            known = f"Board detected, without serial number. Check that the unit is {unit}."
         return replace(self, says=f"{known} {self.says}")
 
 
@@ -95,15 +95,15 @@ class BoardCheck:
         if self.moves:
             return PresenceStatus("moving", self.serial, "The unit is being moved.")
         if self.accel_g is None:
-            return self._still("its own reckoning", self.own_deg or 0.0)
+            return self._still("the board's own angle", self.own_deg or 0.0)
         return self._by_gravity(np.array(self.accel_g), mount)
 
     def _by_gravity(self, accel_g: np.typing.NDArray[np.float64], mount: Mount) -> PresenceStatus:
         weight_g, angle_deg = float(np.linalg.norm(accel_g)), angle_about_deg(mount.axis, accel_g)
         if not WEIGHT_G[0] < weight_g < WEIGHT_G[1]:
             return self._askew(
-                f"Its accelerometer feels {weight_g:.2f} g at rest, not 1 g: it is broken, or its range "
-                "another."
+                f"Its accelerometer measures {weight_g:.2f} g at rest instead of 1 g: it is faulty, or its "
+                "full-scale range is set differently."
             )
         agreeing_deg = mount.sense * angle_deg - mount.deg
         if refusal := mount.refusal(agreeing_deg, angle_deg, accel_g):
@@ -115,13 +115,13 @@ class BoardCheck:
                 f"{wrap_deg(mount.felt_at(stage_deg)):.1f}°, if the stage still stands at {stage_deg:.1f}° "
                 "where the last run left it."
             )
-        return self._still("gravity", angle_deg)
+        return self._still("accelerometer", angle_deg)
 
     def _askew(self, says: str) -> PresenceStatus:
         return PresenceStatus("askew", self.serial, says)
 
     def _still(self, by: str, angle_deg: float) -> PresenceStatus:
-        return PresenceStatus("there", self.serial, f"It sits still, by {by} at {angle_deg:z.1f}°.")
+        return PresenceStatus("there", self.serial, f"At rest at {angle_deg:z.1f}° (by {by}).")
 
 
 def evaluate_board(identity: BoardIdentity, samples: Samples, stage_deg: float | None) -> BoardCheck:

@@ -146,8 +146,8 @@ class Returned:
         """Raises NotTheSame where the unit must have been touched meanwhile."""
         if abs(self.difference_deg) > max(REMOUNTED_DEG, CHANCE_STD * (self.std_deg or 0.0)):
             raise NotTheSame(
-                f"at {self.before.target_deg:g}° the unit reads {self.difference_deg:+.3f}° more than before "
-                "the interruption: it, its mount or the stage's zero was moved, or it is another unit; start "
+                f"at {self.before.target_deg:g}° the reading changed by {self.difference_deg:+.3f}° across "
+                "the interruption: unit, mount or stage zero has moved, or the unit was exchanged; start "
                 "a new run"
             )
 
@@ -166,9 +166,9 @@ class Returned:
         if self.std_deg is None or abs(self.difference_deg) <= CHANCE_STD * self.std_deg:
             return []
         return [
-            f"at {self.before.target_deg:g}° the unit reads {self.difference_deg:+.3f}° more than before the "
-            f"interruption, and chance allows {CHANCE_STD * self.std_deg:.3f}°: the diagnosis tells whether "
-            "it drifted or slipped"
+            f"at {self.before.target_deg:g}° the reading changed by {self.difference_deg:+.3f}° across "
+            f"the interruption, more than {CHANCE_STD:g} standard errors ({CHANCE_STD * self.std_deg:.3f}°): "
+            "run the diagnosis to see whether the unit drifted or slipped"
         ]
 
 

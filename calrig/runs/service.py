@@ -169,7 +169,10 @@ class RunService:
 
     def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
         if wanted.stage_at_deg is not None:
-            raise Conflict("where the stage stands cannot be said of a run that waits: others move it before")
+            raise Conflict(
+                "stage_at_deg is not allowed for a queued run: earlier runs move the stage; start this run "
+                "when the rig is idle"
+            )
         run = wanted.keep(self.store, rig_name, n_poses)
         self._queue.add(run)
         return run
