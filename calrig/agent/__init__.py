@@ -1,1 +1,1 @@
-"""What a bench does beside carrying runs out: takes a centre's orders and commands, and delivers to it."""
+"""Agent of a bench: takes orders and commands of a centre, and delivers runs to it."""

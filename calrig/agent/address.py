@@ -1,4 +1,4 @@
-"""By which address a bench may reach its centre's database."""
+"""Check the URL by which a bench reaches its centre's database."""
 
 from __future__ import annotations
 

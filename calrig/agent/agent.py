@@ -1,12 +1,12 @@
-"""Tells the centre every other second that the bench is there and how its rigs stand; renews the lease.
+"""The agent of a bench: heartbeat with the status of its rigs, commands of the centre, delivery of runs.
 
-What is seen of a unit that somebody mounts is told as it changes.
+Each link has its own threads. They wait for the network, and hold no lock that a run could need.
 
-What a monitoring system reads of a bench's dealings with its centre.
+Commands: one statement claims a command, and finds none that was withdrawn or is older than `STALE_S` by the
+server's clock. By then the centre has reported that the bench cannot be reached.
 
-What a bench does for its centre, beside the run service that the person at the bench works with.
-
-Each link has threads of its own, which wait for the network and hold nothing that a run could need meanwhile.
+Deliveries: if a receipt is lost, the parcel is delivered again. The centre identifies events by run and
+number, poses by run and index, sample blocks by run and number.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -22,18 +23,216 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 import calrig
-from calrig.agent.commands import Commands
-from calrig.agent.link import NOW, Lease, Link, LinkDown, json_of
+from calrig.agent.link import NOW, Centre, Lease, Link, LinkDown, json_of
 from calrig.agent.orders import RigOrders
-from calrig.agent.outbox import Outbox
 from calrig.agent.queue_worker import QueueWorker
+from calrig.analysis.errors import RunsError, Unknown
 from calrig.runs.presence import BoardCheck
 from calrig.runs.rig_status import said_of
 from calrig.runs.service import RunService
 from calrig.store import Store, StoreError
 from calrig.store.convert import iso_utc
+from calrig.store.errors import StoreDamagedError
+from calrig.store.parcels import Parcel
 
 log = logging.getLogger(__name__)
+
+STALE_S = 5
+COMMANDS_LOOK_S = 0.5
+"""How often the centre is asked though no notification came."""
+ANSWER_AGAIN_S = 0.25
+LONGEST_ANSWER_S = 60.0
+"""An answer that cannot be sent for so long interests nobody any more."""
+_OLDEST = NOW.replace("clock_timestamp()", f"(clock_timestamp() - interval '{STALE_S} s')")
+_CLAIM = f"""
+UPDATE bench_command SET taken_at = {NOW}
+WHERE bench = %s AND taken_at IS NULL AND withdrawn_at IS NULL AND asked_at >= {_OLDEST}
+RETURNING id, kind, rig, run_uid
+"""  # noqa: S608 (no text of anybody's)
+_ANSWER = f"UPDATE bench_command SET answered_at = {NOW}, answer = %s WHERE id = %s AND bench = %s"  # noqa: S608
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What is asked: of a rig, or of a run."""
+
+    id: int
+    kind: str
+    rig: str | None
+    run_uid: str | None
+
+
+class Commands:
+    """In a thread of its own, until `closing` is set; each command is carried out in another.
+
+    Args:
+        heard: a link that does nothing but wait for commands.
+        answers: a link for what is short.
+        service: does what is asked.
+        closing: ends it.
+    """
+
+    def __init__(self, heard: Link, answers: Link, service: RunService, closing: threading.Event) -> None:
+        self._heard, self._answers = heard, answers
+        self._service, self._closing = service, closing
+
+    def run(self) -> None:
+        """Listens until the agent is closed."""
+        while not self._closing.is_set():
+            try:
+                with self._heard.centre() as centre:
+                    self._listen(centre)
+            except LinkDown:
+                self._closing.wait(COMMANDS_LOOK_S)
+
+    def _listen(self, centre: Centre) -> None:
+        centre.connection.execute("LISTEN calrig_command")
+        while not self._closing.is_set():
+            for row in centre.connection.execute(_CLAIM, (centre.bench,)).fetchall():
+                self._carry_out(Command(*row))
+            for _told in centre.connection.notifies(timeout=COMMANDS_LOOK_S, stop_after=1):
+                pass  # of whichever bench: the table says whether there is anything
+
+    def _carry_out(self, command: Command) -> None:
+        level = logging.DEBUG if command.kind == "look" else logging.INFO
+        log.log(level, "command %d: %s of %s", command.id, command.kind, command.rig or command.run_uid)
+        work = threading.Thread(target=self._work, args=(command,), name=f"command {command.id}", daemon=True)
+        work.start()
+
+    def _work(self, command: Command) -> None:
+        answer = json_of(self.answer_to(command))
+        give_up_s = time.monotonic() + LONGEST_ANSWER_S
+        while time.monotonic() < give_up_s:
+            try:
+                with self._answers.centre() as centre:
+                    centre.connection.execute(_ANSWER, (answer, command.id, centre.bench))
+                return
+            except LinkDown:
+                if self._closing.wait(ANSWER_AGAIN_S):
+                    return
+
+    def answer_to(self, command: Command) -> dict[str, Any]:
+        """Does what is asked; says what came of it, in HTTP's terms."""
+        try:
+            return {"status": 200, "detail": self._do(command)}
+        except Unknown as error:
+            return {"status": 404, "detail": str(error)}
+        except (RunsError, StoreError) as error:
+            return {"status": 409, "detail": str(error)}
+        except Exception as error:
+            log.exception("command %d failed inside calrig", command.id)
+            return {"status": 409, "detail": f"the bench failed inside ({error!r}); its log says where"}
+
+    def _do(self, command: Command) -> str:
+        service, run_id = self._service, command.run_uid or ""
+        match command.kind:
+            case "stop":
+                state = service.begin_stop(command.rig or "").result()
+                return f"the stage of rig {state.name} stands"
+            case "abort":
+                return service.abort(run_id).status
+            case "pause":
+                return service.pause(run_id).status
+            case "resume":
+                return service.resume(run_id).status
+            case "look":
+                service.look(command.rig or "")
+                return "what is seen comes with the heartbeat"
+        raise Unknown(f"this bench knows no command {command.kind!r}")
+
+
+OUTBOX_LOOK_S = 1.0
+"""How often the spool is looked into though nobody says that it has grown, or though the centre is away."""
+PACE_S = 0.4
+"""Between two deliveries: what a run tells meanwhile goes together, which costs the centre a third."""
+FEW = 20
+TOGETHER_BYTES = 1_000_000
+_NEWEST = "SELECT coalesce(max(seq), 0) FROM parcel WHERE bench = %s"
+_INSERT = f"""
+INSERT INTO parcel (bench, seq, run_uid, document, data, delivered_at) VALUES (%s, %s, %s, %s, %s, {NOW})
+"""  # noqa: S608 (no text of anybody's)
+
+
+class Outbox:
+    """In a thread of its own, until `closing` is set, and once more after that.
+
+    Args:
+        link: to the centre, which nobody else waits for.
+        store: the spool.
+        closing: ends it.
+    """
+
+    def __init__(self, link: Link, store: Store, closing: threading.Event) -> None:
+        self._link, self._store, self._closing = link, store, closing
+        self._grown = threading.Event()
+        self._unreadable: set[str] = set()
+
+    def wake(self) -> None:
+        """The spool has grown, or nobody is to wait any more."""
+        self._grown.set()
+
+    def run(self) -> None:
+        """Delivers until the agent is closed, then what was said last."""
+        is_last = False
+        while not is_last:
+            self._grown.wait(OUTBOX_LOOK_S)
+            self._grown.clear()
+            is_last = self._closing.is_set()
+            try:
+                while (n := self.deliver_some()) and not is_last:
+                    if n < FEW:  # what waited for days goes out without waiting any more
+                        self._closing.wait(PACE_S)
+            except LinkDown:
+                self._closing.wait(OUTBOX_LOOK_S)  # the heartbeat tells of it
+            except StoreError as error:
+                log.error("the spool cannot be delivered from: %s", error)
+                self._closing.wait(OUTBOX_LOOK_S)
+
+    def deliver_some(self) -> int:
+        """Delivers the next pieces of every run that has any; returns how many there were.
+
+        A run of today goes on being told while days of others are delivered beside it.
+
+        Raises:
+            LinkDown: the centre is away, or may not have got them.
+        """
+        n = 0
+        for parcels in self._loads():
+            with self._link.centre() as centre, centre.connection.transaction():
+                (newest,) = centre.connection.execute(_NEWEST, (centre.bench,)).fetchone() or (0,)
+                rows = [
+                    (centre.bench, seq, one.run_id, json_of(one.document), one.data)
+                    for seq, one in enumerate(parcels, start=newest + 1)
+                ]
+                centre.connection.cursor().executemany(_INSERT, rows)
+            self._store.spool.mark_delivered(parcels)
+            n += len(parcels)
+        return n
+
+    def _loads(self) -> Iterator[Sequence[Parcel]]:
+        """The next pieces of all runs, as many together as are sent in one transaction."""
+        load: list[Parcel] = []
+        n_bytes = 0
+        for run_id in self._store.spool.undelivered():
+            parcels = self._next_of(run_id)
+            load += parcels
+            n_bytes += sum(len(one.data or b"") for one in parcels)
+            if n_bytes >= TOGETHER_BYTES:
+                yield load
+                load, n_bytes = [], 0
+        if load:
+            yield load
+
+    def _next_of(self, run_id: str) -> Sequence[Parcel]:
+        """A run that cannot be read any more keeps no other one from being delivered."""
+        try:
+            return self._store.spool.next_parcels(run_id)
+        except StoreDamagedError as error:
+            if run_id not in self._unreadable:
+                log.error("run %s cannot be delivered: %s", run_id, error)
+            self._unreadable.add(run_id)
+            return ()
+
 
 BEAT_S = 2.0
 SEES_S = 0.2

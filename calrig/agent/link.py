@@ -1,11 +1,9 @@
-"""A bench's connection to its centre's database: short statements, made anew after each loss.
+"""Connection of a bench to its centre's database: short statements, reconnection after each loss, lease.
 
-The bench's role may touch its own bench's rows alone. Every statement is a transaction of its own.
+The role of a bench may touch only the rows of its bench. Every statement is a transaction of its own.
 
-How long a bench may act on its centre's orders since the centre last answered, by the bench's own clock.
-
-It only keeps a bench that is cut off from beginning what somebody may have thought better of meanwhile: that
-nothing is begun twice rests on the epochs of orders alone.
+The lease says how long a bench may act on orders after the centre's last answer, by the bench's clock. It
+keeps a disconnected bench from starting outdated orders; the epochs of orders keep runs from starting twice.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""The orders of a bench in its centre's database: looking at them, and taking one by one statement.
+"""Take orders from the centre's database: each at most once, when its rig is free.
 
-A rig's orders: each is taken at most once, when the rig is free, and carried out or said to have failed.
-
-The row of an order is the truth; a job of Procrastinate's only says that it is worth a look.
+The row of an order is authoritative. A job of Procrastinate only announces that a row may have changed.
 """
 
 from __future__ import annotations

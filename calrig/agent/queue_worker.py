@@ -1,8 +1,8 @@
-"""The worker of Procrastinate: takes the jobs of this bench's rigs, which say that there are orders.
+"""Procrastinate worker: takes the jobs that announce orders for the rigs of this bench.
 
-It has a thread and an event loop of its own, touches neither rigs nor spool, and is begun anew whenever its
-connection is lost. Jobs that it, or one before it, left half-done would keep their queue shut: they are put
-away first, for nobody else takes from these queues.
+It has its own thread and event loop, touches neither rigs nor spool, and restarts after each connection loss.
+Half-done jobs of an earlier worker would block their queue. It removes them first: no other worker takes
+from these queues.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from procrastinate.exceptions import ProcrastinateException
 from procrastinate.jobs import Status
 
 from calrig.agent.link import Link, LinkDown
+from calrig.store.bench_tables import queue_of
 from calrig.store.postgresql.database import ALIVE
 from calrig.store.postgresql.queue import app_of
-from calrig.store.rig_queues import queue_of
 
 log = logging.getLogger(__name__)
 

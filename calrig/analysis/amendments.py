@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Set
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -140,7 +139,9 @@ class Records:
         """The result that a run has as one of another unit, with what is accepted for that."""
         if run.result is None:
             return None
-        return refitted(self._store, replace(run, unit=unit), counted_poses(self._store, run.id)).to_dict()
+        return refitted(
+            self._store, run.model_copy(update={"unit": unit}), counted_poses(self._store, run.id)
+        ).to_dict()
 
     def exclude_pose(self, run_id: str, index: int, reason: str, *, who: str | None = None) -> Run:
         """Takes one pose out of an ended run's result, which is computed again; the pose stays."""

@@ -70,7 +70,7 @@ def with_doubts(store: Store, runs: Sequence[Run]) -> list[Run]:
     """Runs that say whether their rig was in doubt when they were made."""
     known = suspects(store)
     return (
-        [replace(run, suspect=known.of(run.rig, run.finished_at)) for run in runs]
+        [run.model_copy(update={"suspect": known.of(run.rig, run.finished_at)}) for run in runs]
         if known.doubts
         else [*runs]
     )

@@ -26,8 +26,8 @@ from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.models import Answer, Body
 from calrig.api.origin_check import HARMLESS
+from calrig.store.bench_tables import BENCH_NAME
 from calrig.store.enrolment import WrongCode
-from calrig.store.rig_queues import BENCH_NAME
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 

@@ -14,7 +14,7 @@ from pydantic import Field, TypeAdapter
 
 from calrig.api.context import ApiContext, Context
 from calrig.api.models import Answer
-from calrig.centre.overview import overview
+from calrig.centre.bench_rigs import overview
 from calrig.model.run import Mount, Progress, Status
 
 FRESH_S = 1.0

@@ -1,1 +1,1 @@
-"""A centre's process: runs that its benches carry out, what they deliver, and what is asked of them."""
+"""The centre: runs that benches carry out, their deliveries, and commands to benches."""

@@ -1,15 +1,13 @@
-"""The rigs of a centre: those that its benches say they have, and how they stood when they last said so.
+"""Rigs of a centre as their benches last reported them, metrics of the benches, and the overview of all rigs.
 
-What a bench says of itself beside its rigs: believed as far as it has the right form, else not known.
-
-What a monitoring system reads of a centre's dealings with its benches: what waits, and who is silent.
+A report of a bench is accepted as far as it has the right form; other values count as unknown.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Annotated, Any, TypeVar
 
@@ -25,6 +23,8 @@ from calrig.runs.rig_status import look_of, settings_of
 from calrig.settings import RigSettings
 from calrig.store import Store, StoreError
 from calrig.store.benches import Backlog, Bench, Waiting
+from calrig.store.records import Document
+from calrig.store.rigs import BriefRun, Standing
 
 log = logging.getLogger(__name__)
 
@@ -254,3 +254,80 @@ def _as_benches_say(benches: list[Bench]) -> Iterator[Metric]:
     yield parcels
     yield age
     yield losses
+
+
+NOT_RESOLVED = {"failed", "interrupted"}
+_STEPS_S = ((60.0, 10.0), (3600.0, 60.0))
+"""Ages below the first are told in steps of the second, those above in hours: an answer stays the same, byte
+for byte, while there is nothing new."""
+
+
+def overview(store: Store, rigs: Sequence[RigState], *, now: datetime | None = None) -> list[Document]:
+    """Benches by name, each with its rigs as configured; this machine's own rigs on one without a name.
+
+    Args:
+        store: of the centre.
+        rigs: as the service tells them.
+        now: by which a check is overdue; without it this moment.
+    """
+    now = now or datetime.now(UTC)
+    standings = store.rigs.summaries([rig.name for rig in rigs])
+
+    def on(bench: str | None) -> list[Document]:
+        return [_rig(rig, standings[rig.name], now) for rig in rigs if rig.bench == bench]
+
+    here = on(None)
+    benches = [{**_bench(bench), "rigs": on(bench.name)} for bench in store.benches.all()]
+    return [*([{**_HERE, "rigs": here}] if here else []), *benches]
+
+
+_HERE: Document = {
+    "name": None,
+    "hall": None,
+    "state": "in_touch",
+    "silent_since": None,
+    "silent_for_s": None,
+    "undelivered": None,
+}
+
+
+def _bench(bench: Bench) -> Document:
+    ago_s = bench.seen_ago_s
+    is_silent = ago_s is not None and ago_s > OFFLINE_S
+    outbox = said_outbox(bench)
+    return {
+        "name": bench.name,
+        "hall": bench.hall,
+        "state": "never_seen" if ago_s is None else "silent" if is_silent else "in_touch",
+        "silent_since": bench.last_seen_at if is_silent else None,
+        "silent_for_s": _coarse(ago_s) if ago_s is not None and is_silent else None,
+        "undelivered": outbox.model_dump() if outbox is not None and outbox.parcels else None,
+    }
+
+
+def _coarse(seconds: float) -> float:
+    step_s = next((step for below, step in _STEPS_S if seconds < below), 3600.0)
+    return seconds // step_s * step_s
+
+
+def _rig(rig: RigState, standing: Standing, now: datetime) -> Document:
+    begun = [run for run in standing.unfinished if run.id == rig.run_id]
+    check, last = standing.check, standing.last
+    has_failed = last is not None and last.status in NOT_RESOLVED and not last.is_voided
+    shown = rig.model_dump()
+    for of_bench in ("bench", "hall", "last_seen_at", "clamp"):
+        del shown[of_bench]
+    return {
+        **shown,
+        "run": _run(begun[0]) if begun else None,
+        "queued": [_run(run) for run in standing.unfinished if run.id != rig.run_id],
+        "unresolved": _run(last) if has_failed and last is not None else None,
+        "check": None if check is None else {**asdict(check), "overdue": check.due_at < now},
+    }
+
+
+def _run(run: BriefRun) -> Document:
+    told: dict[str, Any] = asdict(run)
+    del told["is_voided"]
+    progress = dict(told.pop("progress"))
+    return {**told, "progress": progress, "waiting_for": progress.get("waiting_for")}

@@ -1,10 +1,8 @@
-"""Asking a bench for something while a person waits, and saying so where it cannot be told.
+"""Run service of a centre: its benches carry the runs out.
 
-The thread that unpacks what benches deliver; of several processes whichever comes first does.
-
-What the centre makes of a run that a bench has completed: its result by what is in force here, a draft.
-
-Runs as people and programs ask for them at a centre, whose benches carry them out.
+It sends commands to benches while a request waits, and refuses if a bench cannot be reached. One thread
+unpacks deliveries (of several processes, the first one). The centre computes result and draft of a run that
+a bench completed, from the effects and limits in force at the centre.
 """
 
 from __future__ import annotations
@@ -32,8 +30,8 @@ from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.plan_estimates import planned_poses
 from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics
+from calrig.runs.rig import check_stage_at
 from calrig.runs.single_flight import SharedTask, SingleFlight
-from calrig.runs.stage_position import check_stage_at
 from calrig.runs.stopping import BY_REQUEST
 from calrig.runs.stopping_rule import require_reachable
 from calrig.settings import RigSettings

@@ -74,7 +74,7 @@ def local_service(
             from calrig.analysis.limits import keep_configured
             from calrig.analysis.revisions import Issuer, NoDrafts, Releases
             from calrig.analysis.stage_maps import configured_maps
-            from calrig.runs.launcher import mark_interrupted, stop_stages
+            from calrig.runs.run_queue import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
             from calrig.store import Store
             from calrig.store.engines import is_centre, shown

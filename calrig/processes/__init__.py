@@ -1,1 +1,1 @@
-"""Heavy work in processes of its own, beside the one that holds the ports."""
+"""Background tasks in their own processes, apart from the process that holds the ports."""

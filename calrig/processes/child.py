@@ -1,9 +1,8 @@
-"""What a working process does: one piece after another, within its memory, as long as its parent lives.
+"""Worker process: carries out one task after another, within its memory limit, while its parent lives.
 
-Imports nothing of calrig: what a piece is about comes with it. A piece is 8 bytes of length and a pickle of
-`(function, whether it tells how far it is)`. Back come a byte that says what follows, 8 bytes of length and
-that: any number of times how far the function is, then a pickle of `(None, what it gave)` or
-`(what it raised, None)`.
+Imports nothing of calrig: a task brings its own function. A task is 8 bytes of length and a pickle of
+`(function, whether it reports progress)`. The reply is a byte for its type, 8 bytes of length and a pickle:
+any number of progress values, then `(None, result)` or `(exception, None)`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A few processes for heavy work, a queue with a bound before them, and an end in words for each piece.
+"""Pool of a few processes for background tasks, with a bounded queue and an error message for each failure.
 
-`concurrent.futures` cannot end a piece that runs, and its pool breaks where a process dies: here each process
-carries out one piece at a time, and is ended and replaced where that piece is given up.
+`concurrent.futures` cannot end a running task, and its pool breaks when a process dies. Here each process
+carries out one task at a time; cancelling a task ends its process and starts another.
 """
 
 from __future__ import annotations

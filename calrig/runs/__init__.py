@@ -1,1 +1,1 @@
-"""Carrying a plan out on a rig: states, moves, dwells, safe stop, the event log."""
+"""Carry out a plan on a rig: states, moves, dwells, safe stop, event log."""

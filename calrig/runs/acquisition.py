@@ -1,9 +1,4 @@
-"""Acquire samples while stage and board are polled and requests are obeyed.
-
-A board's samples, filtered as they come, with the stretch kept that the pose in hand is made of.
-
-How a run passes time on a rig: it looks at samples and requests while stage and board take theirs.
-"""
+"""Acquire and filter samples while stage and board are polled and requests are obeyed."""
 
 from __future__ import annotations
 

@@ -1,13 +1,4 @@
-"""Describe a run before it is carried out: requested, assigned to a worker, or ordered by a centre.
-
-What a worker is given: one run, to be carried out from its beginning or from where it was left.
-
-A run that somebody wants, before it is stored: from a person, a diagnosis, or a centre's order.
-
-Runs that a centre orders of a bench, as documents: with what the bench cannot look up in its own spool.
-
-A board whose port is open already when its run begins: opened once more, most boards would reset again.
-"""
+"""Describe a run before it is carried out: requested, assigned to a worker, or ordered by a centre."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Who is next in a list of units: worked out from its turns and what became of their runs, nothing else.
+"""Batches: units that are calibrated one after the other, which one is next, and how each ended.
 
-Serial numbers as a scanner, a person or a spreadsheet gives them.
-
-Units calibrated one after the other, from a list that the service keeps: all pages show the same.
+Every page shows the same batch, because the service stores it.
 """
 
 from __future__ import annotations
@@ -301,9 +299,12 @@ class RunBatches:
         """Adds units at the end; gives those that the list has already. Errors as of `make` and the store."""
         serials, standing = checked(units), self.standing(batch_id)
         if len(standing.now.turns) + len(serials) > MOST_UNITS:
-            raise Invalid(f"a list has at most {MOST_UNITS} units: make another one", ["units"])
+            raise Invalid(f"a batch has at most {MOST_UNITS} units: create another one", ["units"])
         if standing.batch.closed_at is None and not standing.takes_units(self._now()):
-            raise Conflict("this list is another day's: measure a unit of it first, or make another list")
+            raise Conflict(
+                "this batch has had no run for 8 h and takes no more units: run one of its units first, "
+                "or create a new batch"
+            )
         self._write(batch_id)
         return self._store.batches.add_units(batch_id, serials)
 
@@ -328,10 +329,10 @@ class RunBatches:
         """
         standing = self.standing(batch_id)
         if standing.batch.closed_at is not None:
-            raise Conflict("this list is closed: make another one")
+            raise Conflict("this batch is closed: create another one")
         document = standing.batch.document
         if rig not in document["rigs"]:
-            raise Conflict(f"this list is not for rig {rig!r}")
+            raise Conflict(f"this batch does not use rig {rig!r}")
         turn = _waiting(standing, unit)
         if turn.state == "follow_up":
             with self._designing(batch_id, unit):

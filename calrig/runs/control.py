@@ -1,4 +1,4 @@
-"""What people ask of a run while it goes on: pause, resume, end. Each reaches the run from another thread."""
+"""Requests to a run in progress, each from another thread: pause, resume, end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A follow-up while it runs: it stops deciding once the suspects are apart, then diagnoses all runs."""
+"""Follow-up run: it ends its decision once the candidates are separated, then diagnoses all runs together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the unit is clamped on its stage, by gravity: what a run asks a person for between its parts."""
+"""Check by gravity how the unit is clamped on the stage."""
 
 from __future__ import annotations
 

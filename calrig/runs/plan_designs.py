@@ -1,12 +1,7 @@
-"""How long a designed plan waits after a move, as the gyro of the rig's last run showed it.
+"""Design a plan (CONTRACT section 9) from the request and from what earlier runs of the rig have shown.
 
-How precise readings were in a run: within their dwells, and from pose to pose.
-
-Whether a rig may turn without stopping, by what its runs have shown, and how precise stretches are.
-
-What a plan is designed from: what is asked of it, and what its rig has shown: CONTRACT section 9.
-
-The plan for what was asked, found from what is known of the rig: pure work, for a process of its own.
+Earlier runs give the settling time, the precision of readings, and whether the rig can sweep continuously.
+The design itself is pure computation, for a process of its own.
 """
 
 from __future__ import annotations

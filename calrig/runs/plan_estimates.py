@@ -1,8 +1,7 @@
-"""What time a rig takes: as fast as its stage says that it is, and as its last run took beside that.
+"""Estimate before a run what a plan takes: its poses, their time on the rig and by the wall clock.
 
-What a plan asks of a rig, before anything moves: its poses, and about how long they take.
-
-How long a rig takes by the clock on the wall: settling and dwelling are counted on its board's.
+Settling and dwelling are counted on the board's clock. The stage reports its velocity; the communication
+time is that of the rig's last run.
 """
 
 from __future__ import annotations

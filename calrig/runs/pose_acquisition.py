@@ -1,11 +1,4 @@
-"""Each pose of a run held against what its stage says, as it is taken (`calrig.calibration.move_check`).
-
-What the unit's own gyro says of a run: its bias in the dwells, and the moves between them.
-
-How a run takes a pose: it settles, dwells, and makes a pose of the dwell, kept with its samples.
-
-What a plan waits for before each of its sweeps.
-"""
+"""Acquire a pose: settle, dwell, make a pose of the samples, compare the move with gyro and stage."""
 
 from __future__ import annotations
 

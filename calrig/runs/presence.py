@@ -1,13 +1,8 @@
-"""Check which unit a rig's board reports, before anybody presses Enter.
+"""Check which unit a rig's board reports, before a run starts.
 
-What a look at a rig's board gave, and what that says of the unit which is asked for.
-
-The two are apart because they may be on two machines: the look is a bench's, the question its centre's.
-
-Whether a unit is there, before anybody presses Enter: its board is looked at while nobody uses the rig.
-
-Only the board's port is opened: the stage's stays free for a stop at any moment, and nothing moves. It is
-looked at for as long as somebody asks; a run that begins goes on with the open port, where the board may.
+Only the board's port is opened: the stage's port stays free for a stop, and nothing moves. A board is checked
+as long as requests for it arrive; a run that starts takes over the open port if the board allows it. Check
+and evaluation are separate, because a bench checks and its centre evaluates.
 """
 
 from __future__ import annotations
@@ -31,14 +26,14 @@ from calrig.instruments.types import Board, BoardIdentity, Samples
 from calrig.runs.assignment import OpenBoardHandover
 from calrig.runs.crew import WorkerRegistry
 from calrig.runs.mounting import Mount, angle_about_deg
-from calrig.runs.stage_position import MOST_OFF_DEG
+from calrig.runs.rig import MOST_OFF_DEG
 from calrig.settings import BoardSettings, RigSettings
 from calrig.store import Store, StoreError
 
 MOVES_G, MOVES_DPS, MOVES_DEG = 0.03, 2.0, 1.0
 """Standard deviation over a look of a unit that somebody has in hand; one at rest has a tenth of it."""
 WEIGHT_G = (0.8, 1.2)
-"""What a healthy accelerometer feels of gravity."""
+"""Gravity as a sound accelerometer measures it."""
 
 State = Literal["looking", "absent", "moving", "askew", "wrong", "there"]
 
@@ -61,13 +56,13 @@ class PresenceStatus:
         """The same, where that unit is to be there."""
         if self.serial and self.serial != unit:
             return PresenceStatus(
-                "wrong", self.serial, f"The board says that it is {self.serial}, not {unit}."
+                "wrong", self.serial, f"The board reports serial number {self.serial}, not {unit}."
             )
         if self.state != "there":
             return self
-        known = f"{unit} is there, says its board."
+        known = f"Board of {unit} detected."
         if not self.serial:
-            known = f"A unit is there; its board has no serial: see that it is {unit}."
+            known = f"Board detected, without serial number. Check that the unit is {unit}."
         return replace(self, says=f"{known} {self.says}")
 
 
@@ -100,15 +95,15 @@ class BoardCheck:
         if self.moves:
             return PresenceStatus("moving", self.serial, "The unit is being moved.")
         if self.accel_g is None:
-            return self._still("its own reckoning", self.own_deg or 0.0)
+            return self._still("the board's own angle", self.own_deg or 0.0)
         return self._by_gravity(np.array(self.accel_g), mount)
 
     def _by_gravity(self, accel_g: np.typing.NDArray[np.float64], mount: Mount) -> PresenceStatus:
         weight_g, angle_deg = float(np.linalg.norm(accel_g)), angle_about_deg(mount.axis, accel_g)
         if not WEIGHT_G[0] < weight_g < WEIGHT_G[1]:
             return self._askew(
-                f"Its accelerometer feels {weight_g:.2f} g at rest, not 1 g: it is broken, or its range "
-                "another."
+                f"Its accelerometer measures {weight_g:.2f} g at rest instead of 1 g: it is faulty, or its "
+                "full-scale range is set differently."
             )
         agreeing_deg = mount.sense * angle_deg - mount.deg
         if refusal := mount.refusal(agreeing_deg, angle_deg, accel_g):
@@ -120,13 +115,13 @@ class BoardCheck:
                 f"{wrap_deg(mount.felt_at(stage_deg)):.1f}°, if the stage still stands at {stage_deg:.1f}° "
                 "where the last run left it."
             )
-        return self._still("gravity", angle_deg)
+        return self._still("accelerometer", angle_deg)
 
     def _askew(self, says: str) -> PresenceStatus:
         return PresenceStatus("askew", self.serial, says)
 
     def _still(self, by: str, angle_deg: float) -> PresenceStatus:
-        return PresenceStatus("there", self.serial, f"It sits still, by {by} at {angle_deg:z.1f}°.")
+        return PresenceStatus("there", self.serial, f"At rest at {angle_deg:z.1f}° (by {by}).")
 
 
 def evaluate_board(identity: BoardIdentity, samples: Samples, stage_deg: float | None) -> BoardCheck:

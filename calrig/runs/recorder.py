@@ -1,13 +1,4 @@
-"""Record a run as it happens: states, poses and readings are stored before they are published.
-
-Tells those who watch a run that its event log has grown. The log itself is the truth.
-
-Counts of what runs did since the service began, for whoever watches it. Thread-safe, and cheap.
-
-The moves between the states of a run that are allowed.
-
-Writes a run down as it happens; each state, pose and reading is stored before anybody hears of it.
-"""
+"""Record a run: store each state, pose and reading before it is published; count for the metrics."""
 
 from __future__ import annotations
 

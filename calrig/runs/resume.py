@@ -1,16 +1,15 @@
-"""Resuming an interrupted run: what was measured, and whether rig, board, stage and unit are still the same.
+"""Resume an interrupted run: load its poses, and check that rig, board, stage and unit are unchanged.
 
-The last pose is measured once more, from the side it was approached: the unit is to read there what it read.
-
-The board's clock begins anew. The run's time goes on by the wall's clock from its beginning, or from its last
-sample where a rig's clocks run faster than life.
+The last pose is measured again with the same approach direction; its reading must repeat. The board's clock
+starts again at 0. The run's time continues by the wall clock from its start, or from its last sample if the
+clocks of the rig run faster than real time.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -99,7 +98,7 @@ def waiting_task(
     plan = Plan.model_validate(run.plan)
     verifies = _verified(store, run, plan, settings)
     origin = {key: value for key, value in run.provenance.items() if key != "stage_map"}
-    now = replace(run, provenance={**origin, **provenance_part(store, settings.name, maps)})
+    now = run.model_copy(update={"provenance": {**origin, **provenance_part(store, settings.name, maps)}})
     return RunAssignment(now, settings, plan, planned_poses(plan, settings), verifies=verifies)
 
 
@@ -147,8 +146,8 @@ class Returned:
         """Raises NotTheSame where the unit must have been touched meanwhile."""
         if abs(self.difference_deg) > max(REMOUNTED_DEG, CHANCE_STD * (self.std_deg or 0.0)):
             raise NotTheSame(
-                f"at {self.before.target_deg:g}° the unit reads {self.difference_deg:+.3f}° more than before "
-                "the interruption: it, its mount or the stage's zero was moved, or it is another unit; start "
+                f"at {self.before.target_deg:g}° the reading changed by {self.difference_deg:+.3f}° across "
+                "the interruption: unit, mount or stage zero has moved, or the unit was exchanged; start "
                 "a new run"
             )
 
@@ -167,9 +166,9 @@ class Returned:
         if self.std_deg is None or abs(self.difference_deg) <= CHANCE_STD * self.std_deg:
             return []
         return [
-            f"at {self.before.target_deg:g}° the unit reads {self.difference_deg:+.3f}° more than before the "
-            f"interruption, and chance allows {CHANCE_STD * self.std_deg:.3f}°: the diagnosis tells whether "
-            "it drifted or slipped"
+            f"at {self.before.target_deg:g}° the reading changed by {self.difference_deg:+.3f}° across "
+            f"the interruption, more than {CHANCE_STD:g} standard errors ({CHANCE_STD * self.std_deg:.3f}°): "
+            "run the diagnosis to see whether the unit drifted or slipped"
         ]
 
 

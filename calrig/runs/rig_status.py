@@ -1,4 +1,4 @@
-"""What each rig is doing, without opening a port; and the same as a bench reports it to its centre."""
+"""Report what each rig is doing, without opening a port; also as a bench reports it to its centre."""
 
 from __future__ import annotations
 

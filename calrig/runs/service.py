@@ -1,11 +1,10 @@
-"""Runs as people and programs ask for them: one at a time on each rig, side by side on several."""
+"""Run service of this machine: starts runs, one at a time on each rig, and forwards requests to them."""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,19 +14,20 @@ from calrig.analysis.revisions import Issuer, Releases
 from calrig.analysis.stored_runs import stored_run
 from calrig.model.plan import MountAxis, Plan
 from calrig.model.service import RigState
-from calrig.runs.assignment import NewRun, rig_followed_up_on
+from calrig.runs.assignment import NewRun, RunAssignment, rig_followed_up_on
 from calrig.runs.control import End
-from calrig.runs.crew import WorkerRegistry
+from calrig.runs.crew import Clamps, WorkerRegistry
 from calrig.runs.follow_up import Designed, FollowUpQuestion
-from calrig.runs.launcher import RunLauncher
-from calrig.runs.presence import BoardCheck
+from calrig.runs.plan_estimates import planned_poses
+from calrig.runs.presence import BoardCheck, PresenceMonitor
 from calrig.runs.recorder import Bus, ServiceMetrics, check_transition
-from calrig.runs.resume import resumed_task
-from calrig.runs.rig import require_in_date
+from calrig.runs.resume import resumed_task, waiting_task
+from calrig.runs.rig import check_stage_at, require_in_date
 from calrig.runs.rig_status import state_of
+from calrig.runs.run_queue import RunQueue
 from calrig.runs.single_flight import SharedTask
-from calrig.runs.stage_position import check_stage_at
-from calrig.runs.stopping import StopService
+from calrig.runs.stopping import BY_REQUEST, StopService
+from calrig.runs.stopping_rule import require_reachable
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
@@ -71,9 +71,13 @@ class RunService:
         self.meter = ServiceMetrics(self._rigs)
         self.crew = WorkerRegistry()
         self._stops = StopService(self.crew)
-        self._starts = RunLauncher(
-            store, self._rigs, self.crew, self.bus, self.meter, self.issuer, self.maps, record
+        self._record = record
+        self._lock = threading.Lock()  # held while a run takes a rig and the store records it
+        self._queue = RunQueue(
+            store, self.bus, self.meter, self._lock, self._require_ready, self._begin_queued
         )
+        self._clamps = Clamps(self.crew, self._queue.next)
+        self._presence = PresenceMonitor(store, self.crew)
 
     def rigs(self) -> list[RigState]:
         """Every configured rig and what it is doing. Looks at no port that would notice."""
@@ -125,18 +129,76 @@ class RunService:
         return self.begin(settings, NewRun.following(asked, found, who))
 
     def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool = False) -> Run:
-        """Starts a run on a rig of this service, which is free or kept for that run; errors as of `start`.
+        """Start a run on a rig of this service, which is free or kept for that run; errors as of `start`.
 
-        With `waits` it is stored as `queued` where the rig is not free, and begins once it is.
+        With `waits` the run is stored as `queued` if the rig is not free, and starts once it is.
         """
-        return self.run(self._starts.begin(settings, wanted, waits=waits).id)
+        plan = wanted.plan
+        require_in_date(settings)
+        planned = planned_poses(plan, settings)
+        wanted = wanted.as_of_now(self.store, settings.name, self.maps)
+        require_reachable(plan, settings, wanted.unit, self.store, wanted.origin.get("stage_map"))
+        with self._lock:
+            self._clamps.require_still(settings.name)
+            try:
+                self.crew.require_free(settings.name, wanted.run_id)
+                self._queue.require_nobody(settings.name)
+            except Conflict:
+                if not waits or self.crew.is_closing:
+                    raise
+                return self._wait_in_turn(settings.name, wanted, len(planned))
+            run = wanted.keep(self.store, settings.name, len(planned))
+            task = RunAssignment(
+                run,
+                settings,
+                plan,
+                planned,
+                wanted.follow_up,
+                wanted.verifies,
+                stage_at_deg=wanted.stage_at_deg,
+            )
+            self._start_worker(task)
+        return self.run(run.id)
+
+    def _start_worker(self, task: RunAssignment) -> None:
+        """Start the worker of a run; call it under the lock."""
+        left = self.crew.left_rig
+        worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, self._ended, self._record)
+        if self.crew.take(worker):
+            worker.control.end(BY_REQUEST)
+        worker.start(self._presence.let_go(worker.rig.name))
+
+    def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
+        if wanted.stage_at_deg is not None:
+            raise Conflict(
+                "stage_at_deg is not allowed for a queued run: earlier runs move the stage; start this run "
+                "when the rig is idle"
+            )
+        run = wanted.keep(self.store, rig_name, n_poses)
+        self._queue.add(run)
+        return run
+
+    def _begin_queued(self, run: Run) -> None:
+        """Start a queued run whose rig is free."""
+        settings = self._rigs.get(run.rig or "")
+        if settings is None:
+            raise Conflict(f"rig {run.rig!r} is not configured any more")
+        self._start_worker(waiting_task(self.store, run, settings, self.maps))
+
+    def _require_ready(self, rig_name: str) -> None:
+        self.crew.require_free(rig_name)
+        self._clamps.require_still(rig_name)
+
+    def _ended(self, worker: Worker) -> None:
+        self.crew.ended(worker)
+        self._queue.next(worker.rig.name)
 
     def run(self, run_id: str) -> Run:
         """The run, or Unknown. One whose end the store could not be told of yet is as it ended."""
         worker = self.crew.of_run(run_id)  # before the store is asked: it is let go once that is told
         untold = None if worker is None else worker.untold
         run = stored_run(self.store, run_id)
-        return run if untold is None else replace(run, **untold)
+        return run if untold is None else run.model_copy(update=untold)
 
     def abort(self, run_id: str) -> Run:
         """Stops the stage now and ends the run; returns once it has ended, or two seconds after the stage.
@@ -149,8 +211,8 @@ class RunService:
         """
         if errand := self.begin_abort(run_id):
             return errand.result()
-        with self._starts.lock:
-            if self._starts.queue.take_out(run_id):
+        with self._lock:
+            if self._queue.take_out(run_id):
                 return self.run(run_id)
             run = self.run(run_id)
             if run.status == "interrupted" and self.crew.of_run(run_id) is None:
@@ -191,7 +253,7 @@ class RunService:
         rig = self._rig(rig_name)
         self.crew.call_off(rig_name)
         # Beside the stop, which waits for no store; a daemon, for a store that hangs is to keep no process.
-        tell = self._starts.queue.call_off(rig_name)
+        tell = self._queue.call_off(rig_name)
         telling = threading.Thread(target=tell, name=f"call-off at {rig_name}", daemon=True)
         telling.start()
 
@@ -204,16 +266,16 @@ class RunService:
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own; errors as of `Clamps.turn`, or Unknown."""
         rig = self._rig(rig_name)
-        with self._starts.lock:
-            return self._starts.clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
+        with self._lock:
+            return self._clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
 
     def look(self, rig_name: str) -> None:
         """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
-        self._starts.sightings.look(self._rig(rig_name))
+        self._presence.look(self._rig(rig_name))
 
     def looks(self) -> dict[str, BoardCheck]:
         """What the last looks at boards gave, by rig; of those that are looked at."""
-        return self._starts.sightings.looks()
+        return self._presence.looks()
 
     def _state_of(self, rig: RigSettings) -> RigState:
         return next(state for state in self.rigs() if state.name == rig.name)
@@ -239,7 +301,7 @@ class RunService:
         check_stage_at(run, stage_at_deg)
         if run.status == "interrupted":
             return self._resume_interrupted(run, stage_at_deg)
-        if self._starts.queue.go(run_id):
+        if self._queue.go(run_id):
             return self.run(run_id)
         self._worker(run_id, "resumed").go_on()
         return self.run(run_id)
@@ -253,11 +315,11 @@ class RunService:
             )
         require_in_date(settings)
         task = resumed_task(self.store, run, settings, stage_at_deg)
-        with self._starts.lock:
+        with self._lock:
             self.crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
             self.store.runs.update(run.id, status="queued", error=None)
-            self._starts.employ(task)
+            self._start_worker(task)
         return self.run(run.id)
 
     def _worker(self, run_id: str, wish: str) -> Worker:
@@ -276,12 +338,12 @@ class RunService:
     def close(self) -> None:
         """Stops every stage and ends every run as `interrupted`, within five seconds."""
         end = End("interrupted", "the service was stopped during the run")
-        with self._starts.lock:
+        with self._lock:
             workers = self.crew.close()
         for worker in workers:
             worker.control.end(end)
         deadlines_s = [worker.clock.now_s() + CLOSE_S for worker in workers]
-        self._starts.sightings.close()
+        self._presence.close()
         for worker, deadline_s in zip(workers, deadlines_s, strict=True):
             worker.join(max(0.0, deadline_s - worker.clock.now_s()))
             worker.give_up(self.store, end)

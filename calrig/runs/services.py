@@ -1,4 +1,4 @@
-"""What the API asks of whatever carries runs out: the rigs of this machine, or a centre's benches."""
+"""Interface of a run service, for the API: the rigs of this machine, or the benches of a centre."""
 
 from __future__ import annotations
 

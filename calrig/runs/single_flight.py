@@ -1,4 +1,4 @@
-"""Work in a thread of its own, shared by all who ask for the same meanwhile: what must wait for nobody."""
+"""Run at most one task per key at a time, each in its own thread; concurrent callers share its result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The red button: a rig's stage is told to stop at once, and whoever asked hears whether it was seen to."""
+"""Stop service: stop a rig's stage at once and report whether standstill was confirmed."""
 
 from __future__ import annotations
 
@@ -83,16 +83,14 @@ class StopService:
         telling = self._tell(rig)
         telling.opened.wait(OPENS_S)
         if not telling.opened.is_set():
-            raise Conflict(_not_open(rig, "its port"))
+            raise Conflict(_not_open(rig))
         try:
             telling.errand.result()
         except InstrumentError as error:
             if self._stop_run_on(rig):  # a run may just have taken the port
                 return
             advice = "" if CUT in str(error) else f": {CUT}"
-            raise Conflict(
-                f"the stage of rig {rig.name!r} cannot be told to stop ({error}){advice}"
-            ) from error
+            raise Conflict(f"rig {rig.name!r}: stop not confirmed ({error}){advice}") from error
 
     def _tell(self, rig: RigSettings) -> StopRequest:
         """Has a thread tell the stage, which goes on though nobody waits for it any more."""
@@ -111,11 +109,11 @@ def _clock_of(rig: RigSettings) -> Clock:
     return WALL if rig.stage is None else clock_of(rig.stage.port)
 
 
-def _not_open(rig: RigSettings, what: str) -> str:
+def _not_open(rig: RigSettings, receiver: str = "") -> str:
     port = "" if rig.stage is None else f" {rig.stage.port}"
     return (
-        f"the stage of rig {rig.name!r} cannot be told to stop: {what}{port} has not opened within "
-        f"{OPENS_S:g} s; it is told as soon as it does, but do not wait for that: {CUT}"
+        f"rig {rig.name!r}: stop not sent{receiver}, because its port{port} did not open within "
+        f"{OPENS_S:g} s. calrig sends it once the port opens; do not wait: {CUT}"
     )
 
 
@@ -129,12 +127,12 @@ def _told(worker: Worker, end: End) -> bool:
     """
     worker.control.end(end)
     if not worker.control.reached(OPENS_S):
-        raise Conflict(_not_open(worker.rig, f"for run {worker.run_id} its port"))
+        raise Conflict(_not_open(worker.rig, f" to run {worker.run_id}"))
     left = worker.control.left(SEEN_S)
     if left is None:
         raise Conflict(
-            f"the stage of rig {worker.rig.name!r} was told to stop, and within {SEEN_S:g} s run "
-            f"{worker.run_id} could not see that it stands: {CUT}"
+            f"rig {worker.rig.name!r}: stop sent, but run {worker.run_id} did not confirm standstill within "
+            f"{SEEN_S:g} s: {CUT}"
         )
     if left.trouble is not None:
         raise Conflict(f"rig {worker.rig.name!r}: {left.trouble}")

@@ -1,7 +1,4 @@
-"""Sequential stopping of a run: CONTRACT section 9's `until`.
-
-What the reference of a rig is worth to a run, and that no run waits for what is below it.
-"""
+"""Sequential stopping of a run by `until` (CONTRACT section 9), limited by the reference uncertainty."""
 
 from __future__ import annotations
 
@@ -107,8 +104,8 @@ def require_reachable(
         return
     if in_force is None and rig.reference is None:
         raise Invalid(
-            f"rig {rig.name!r} does not say what its angle is worth: no expanded uncertainty is known that "
-            "a run could end by",
+            f"rig {rig.name!r} has no `reference`, so its expanded uncertainty is unknown and cannot end a "
+            "run: add `reference` to the rig, or remove this goal",
             [PLACE],
         )
     if in_force is None and rig.reference is not None and rig.reference.map is not None:

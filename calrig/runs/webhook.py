@@ -1,7 +1,7 @@
-"""Tells another program of each run's end: JSON, signed, tried again for two days, never in a run's way.
+"""Report each run's end to another program: signed JSON, retried for two days, without delaying a run.
 
-The signature is `t=SECONDS,v1=HEX` with HEX the HMAC-SHA256 (RFC 2104) of `SECONDS.BODY` by the secret,
-SECONDS the time of the try since 1970. Redirects are not followed: the address is the settings' alone.
+The signature is `t=SECONDS,v1=HEX`. HEX is the HMAC-SHA256 (RFC 2104) of `SECONDS.BODY` with the secret;
+SECONDS is the Unix time of the try. Redirects are not followed: only the configured address is used.
 """
 
 from __future__ import annotations

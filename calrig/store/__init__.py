@@ -1,7 +1,7 @@
-"""Runs, poses, events and raw samples in one SQLite file (SQLModel tables, Alembic migrations).
+"""Store of runs, poses, events and raw samples in a SQLite file or a PostgreSQL database.
 
-What is named here is loaded where it is asked for: a process for heavy work takes records apart, and has no
-need of a database's libraries, whose loading takes longer than most of its pieces.
+Names are imported when first used: a process for background tasks uses records without loading a database's
+libraries, which takes longer than most tasks.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lists of units that are calibrated one after the other: who is next, where, and which run each got."""
+"""Batches of units: which unit is next, on which rig, and which run each has."""
 
 from __future__ import annotations
 
@@ -118,9 +118,7 @@ class Batches(Repository):
         """
         with self._database.writing() as session:
             if _open(session, batch_id).turns != list(before):
-                raise ChangedMeanwhile(
-                    "somebody has changed the list at the same moment: look at it, and try again"
-                )
+                raise ChangedMeanwhile("the batch was changed at the same time: reload it and try again")
             for turn in after:
                 session.merge(_row(batch_id, turn))
             if closed_at is not None:
@@ -130,14 +128,14 @@ class Batches(Repository):
 def _open(session: Session, batch_id: str) -> Batch:
     batch = _batch(session, batch_id)
     if batch.closed_at is not None:
-        raise Refused("this list is closed: make another one")
+        raise Refused("this batch is closed: create another one")
     return batch
 
 
 def _batch(session: Session, batch_id: str) -> Batch:
     row = session.get(BatchTable, batch_id)
     if row is None:
-        raise NotFound(f"there is no list {batch_id!r}")
+        raise NotFound(f"unknown batch {batch_id!r}")
     in_order = select(BatchUnitTable).where(BatchUnitTable.batch == batch_id)
     turns = [
         Turn(one.position, one.unit, cast(TurnState, one.state), one.rig, one.run_uid, one.why)

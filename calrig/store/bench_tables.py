@@ -1,10 +1,13 @@
-"""The tables of a centre and its benches; in a file's store only a bench's own (`taken_order`, `delivery`).
+"""Tables of a centre and its benches, and the names of their queues.
 
-What a bench's role may touch of them is in `calrig.store.postgresql.set_up`.
+A bench's own file has only `taken_order` and `delivery`. `calrig.store.postgresql.set_up` grants the rights
+of a bench's role.
 """
 
-# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
+from __future__ import annotations
 
+import hashlib
+import re
 from datetime import datetime
 from typing import Any
 
@@ -12,6 +15,27 @@ from sqlmodel import Column, Field, Index, LargeBinary, SQLModel
 
 from calrig.store.checksums import CheckedJson
 from calrig.store.tables import Sha256, UtcText
+
+BENCH_NAME = re.compile(r"[A-Za-z0-9_.-]{1,20}")
+"""Of a bench; a slash would make it another bench's queue."""
+LONGEST_BYTES = 40
+"""Of a queue: Procrastinate notifies on `procrastinate_queue_v1#` and its name, and PostgreSQL's longest
+name of a channel has 63 bytes: a job in a longer one is refused.
+"""
+
+
+def queue_of(bench: str, rig: str) -> str:
+    """The queue of a bench's rig; a long name of a rig is shortened to its hash.
+
+    A bench's role sees the jobs of `rig:BENCH/…` (`calrig.store.postgresql.set_up`).
+    """
+    queue = f"rig:{bench}/{rig}"
+    if len(queue.encode()) <= LONGEST_BYTES:
+        return queue
+    return f"rig:{bench}/~{hashlib.sha256(rig.encode()).hexdigest()[:12]}"
+
+
+# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
 
 
 class BenchTable(SQLModel, table=True):

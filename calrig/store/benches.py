@@ -1,11 +1,7 @@
-"""The benches of a centre, and what each is to do with runs: orders, of which only the newest epoch counts.
+"""Benches of a centre: the orders, deliveries and commands between the centre and them.
 
-A bench takes an order by one statement of its own, outside of the centre's turn to write. So what hangs on
-whether it has is one statement here as well: of two at once the server lets one be the first.
-
-What lies between a centre and its benches: orders, deliveries and commands that nobody has seen to yet.
-
-What is asked of a bench while somebody waits: stop, abort, pause, resume; and to look at a board.
+Only the newest epoch of an order counts. A bench takes an order by one statement, outside the centre's turn
+to write. So the centre also uses one statement where it depends on that: the server lets only one be first.
 """
 
 from __future__ import annotations

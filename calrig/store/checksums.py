@@ -1,4 +1,4 @@
-"""Checksums of what is stored: SQLite sees a page whose order is broken, and not a digit that has changed."""
+"""Checksums of stored values: SQLite detects a page out of order, but not a changed digit."""
 
 from __future__ import annotations
 

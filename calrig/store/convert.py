@@ -1,4 +1,4 @@
-"""Between rows of the tables and the records that callers see."""
+"""Convert between rows of the tables and records."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def run_of(row: RunTable) -> Run:
     voided: Voided | None = None
     if row.voided_reason is not None and row.voided_at is not None:
         voided = Voided(reason=row.voided_reason, at=row.voided_at)
-    return Run(
+    return Run.model_construct(
         id=row.uid,
         unit=row.unit,
         rig=row.rig,

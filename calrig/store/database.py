@@ -1,7 +1,12 @@
-"""What a store asks of its database, whichever engine keeps it: short transactions from many threads."""
+"""Interface of a database on either engine: sessions, schema migrations, base of the repositories.
+
+A schema revision is the four digits at the start of its file's name in migrations/versions. So the newest one
+is found without importing Alembic, which is loaded only for a migration.
+"""
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -10,6 +15,7 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import StatementError
 from sqlmodel import Session
 
+from calrig.settings import packed
 from calrig.store.errors import NotText, StoreDamagedError, StoreError, Unreadable
 from calrig.store.records import Size
 
@@ -102,3 +108,25 @@ class Repository:
 
     def __init__(self, database: Database) -> None:
         self._database = database
+
+
+def revisions() -> list[str]:
+    """The program's revisions, oldest first."""
+    found = (
+        re.match(r"(\d{4})_\w+\.py$", file.name) for file in (packed("migrations") / "versions").iterdir()
+    )
+    known = sorted(match[1] for match in found if match)
+    if not known:
+        raise StoreError(f"{packed('migrations')}: holds no migrations: install calrig again")
+    return known
+
+
+def migrate(connection: Connection) -> None:
+    """Brings the tables to the program's revision, inside the transaction that the connection is in."""
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(packed("migrations")).replace("%", "%%"))
+    config.attributes["connection"] = connection
+    command.upgrade(config, "head")

@@ -1,4 +1,4 @@
-"""Which engine keeps a store: a SQLite file, or PostgreSQL where many benches share one."""
+"""Open a store with its engine: a SQLite file, or PostgreSQL if many benches share one store."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a bench joins a centre and leaves it: a code that works once, a role of the database's own."""
+"""Enrol and revoke benches of a centre: a code that works once, and a database role for each bench."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from datetime import UTC, datetime, timedelta
 
 from sqlmodel import Session, select
 
-from calrig.store.bench_tables import BenchTable
+from calrig.store.bench_tables import BENCH_NAME, BenchTable
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused
-from calrig.store.rig_queues import BENCH_NAME
 from calrig.store.trail import Act, append
 from calrig.store.users import token_digest
 

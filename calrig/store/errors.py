@@ -1,4 +1,4 @@
-"""What can go wrong with the store, each said so that a person can act on it."""
+"""Errors of the store. Each message says what to do."""
 
 from __future__ import annotations
 

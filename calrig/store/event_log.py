@@ -1,4 +1,4 @@
-"""What happened during a run, as it was announced, and what went over its wires before it failed."""
+"""Events of runs as published, and transcripts of the ports of failed runs."""
 
 from __future__ import annotations
 

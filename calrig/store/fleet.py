@@ -1,11 +1,6 @@
-"""All completed runs and their poses at once, in pieces, for what looks at a whole fleet.
+"""Poses of all completed runs in pieces, findings of their re-analysis, and studies of imported logs.
 
-Each piece is a transaction of its own over a range of the poses' key: nothing is held open meanwhile, on a
-file that a service writes to as on a server.
-
-What the re-analysis of a fleet found in runs, kept so that it is found once.
-
-What was found in logs that people brought, kept: the report and its pictures, not the log.
+Each piece is a transaction of its own over a range of the poses' key, so that no lock is held between pieces.
 """
 
 from __future__ import annotations

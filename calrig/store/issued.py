@@ -1,4 +1,4 @@
-"""Issued calibrations: each revision's bytes never change; its status, who and why stand beside them."""
+"""Issued revisions of calibrations: their bytes never change; status, author and reason are stored beside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits, in the order that they are tried in."""
+"""Limits, in the order in which they are matched."""
 
 from __future__ import annotations
 

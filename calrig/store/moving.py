@@ -1,6 +1,6 @@
-"""Every checksum that is stored, held against rows as they lie: whoever moves a store proves it first.
+"""Copy a whole store into an empty one, on either engine, and prove that both are equal.
 
-A whole store taken over into an empty one, on whichever engines, and proven to be the same.
+The checksums of all rows are verified before anything is copied.
 """
 
 from __future__ import annotations

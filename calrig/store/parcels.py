@@ -1,11 +1,7 @@
-"""What is in a parcel, one delivery of a bench about one of its runs: checked before any of it is stored.
+"""Parcels: what a bench delivers of a run, piece by piece; and the bench's record of orders and deliveries.
 
-What a bench delivers of a run, in pieces: events with their poses, then samples, its end last of all.
-
-So whoever sees at the centre that a run has ended finds all of it there. A parcel says of the run what was so
-when its last event was announced, whatever has happened since.
-
-A bench's own store beside a centre: the orders that were acted on, and how far each run was delivered.
+Events and their poses come first, then samples, the end of the run last. So a run that has ended at the
+centre is complete there. A parcel describes the run as of its last event.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The stage's map that a run was made by, put upon its poses as they are read.
-
-Poses and the raw samples they rest on.
-"""
+"""Poses and raw samples of runs. The stage map of a run is applied to its poses as they are read."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Rows as they lie in their tables, on either engine, and one hash of a table that is the same on both.
+"""Raw rows of the tables on either engine, with a hash of a table that is equal on both.
 
-The hash of a table is the SHA-256 of lines of UTF-8, each ended by LF: first the names of the columns, then
-the rows in the order of the key, each a JSON array without blanks. In it a document is the text that is
-stored, bytes are the SHA-256 of them in hexadecimal, and a zero has no sign, of which SQLite keeps none.
+The hash is the SHA-256 of UTF-8 lines ended by LF: the names of the columns, then the rows in key order, each
+a JSON array without blanks. A document is its stored text, bytes are their SHA-256 in hexadecimal, and a zero
+has no sign, because SQLite stores none.
 """
 
 from __future__ import annotations

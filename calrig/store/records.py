@@ -1,4 +1,4 @@
-"""What the store gives and takes: plain records that know nothing of tables."""
+"""Records that the store returns and accepts. They do not depend on the tables."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import Any, Literal, NamedTuple, TypedDict
 import numpy as np
 import numpy.typing as npt
 
+import calrig.model.run
 from calrig.calibration.poses import Filtering, Pose
 from calrig.calibration.separation import StageMap
 from calrig.calibration.uncertainty import make_verdict
 from calrig.estimation.kalman import KalmanNoise
 from calrig.model.result import Reference, Result
-from calrig.model.run import Progress, Status, Suspect, Voided
+from calrig.model.run import Progress, Status
 from calrig.model.verdict import Limit, Verdict
 
 FloatArray = npt.NDArray[np.float64]
@@ -23,34 +24,15 @@ Document = dict[str, Any]
 """A JSON object."""
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A run as CONTRACT section 2 shows it; times are aware and in UTC.
+class Run(calrig.model.run.Run):
+    """A run as stored, with its plan and the limit that its verdict follows from; times are aware and in UTC.
 
-    `limit` is the one that matches its unit and rig now; looked for only where there is a result.
+    It is read without validation, so that a run with an old or damaged document stays readable.
     """
 
-    id: str
-    unit: str
-    rig: str | None
-    status: Status
     plan: Document | None
-    progress: Progress
-    result: Result | None
-    diagnosis: Document | None
-    faults: dict[str, int]
-    follows: str | None
-    provenance: Document
-    operator: str | None
-    note: str | None
-    voided: Voided | None
-    created_at: datetime
-    started_at: datetime | None
-    finished_at: datetime | None
-    error: str | None
-    suspect: Suspect | None = None
-    """Why its rig is in doubt, where somebody looked. The store never knows."""
     limit: Limit | None = None
+    """Matches its unit and rig now; None without a result."""
 
     @property
     def kind(self) -> str:

@@ -1,11 +1,4 @@
-"""The unit that a rig is checked by, and how often.
-
-Where stages that cannot look for a reference were left, by rig: nothing else remembers it.
-
-How each rig stands, for a page that shows many at once: a few narrow questions to the store.
-
-The stage's map that a rig's elevations rest on: put in force, followed by another one, withdrawn.
-"""
+"""State of rigs that outlives a process: check standards, stage positions, stage maps; summaries of rigs."""
 
 from __future__ import annotations
 

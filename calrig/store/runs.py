@@ -1,33 +1,74 @@
-"""Which runs a person looks for: by what stands in the index that the list is read from, and no fat row.
+"""Runs: create, find, change. An import stages its poses in a temporary table first.
 
-Runs: making, finding and changing them.
+A run on a rig stores each pose as it is measured, and must not wait while an import writes row by row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal, Unpack, get_args
 
 import sqlalchemy
-from sqlalchemy import ColumnElement
-from sqlmodel import Session, and_, col, func, or_, select, tuple_
+from sqlalchemy import Column, ColumnElement, Connection, MetaData, Table
+from sqlmodel import Session, and_, col, func, insert, literal, or_, select, tuple_
 
 from calrig.calibration.poses import Pose
 from calrig.model.plan import CALIBRATING
 from calrig.model.result import Result
 from calrig.model.run import TERMINAL, UNFINISHED, Progress, Status
 from calrig.run_ids import is_uuid, new_run_id
-from calrig.store import event_log, issued, staging, trail
-from calrig.store.convert import figures_of, find_run, run_of, run_row
-from calrig.store.database import Repository
+from calrig.store import checksums, event_log, issued, trail
+from calrig.store.convert import POSE_NUMBERS, figures_of, find_run, pose_values, run_of, run_row
+from calrig.store.database import Database, Repository
 from calrig.store.errors import Refused
 from calrig.store.event_log import Announced
 from calrig.store.records import Document, Run, RunChanges
-from calrig.store.tables import CalibrationTable, RunTable, UnitTable
+from calrig.store.tables import CalibrationTable, PoseTable, RunTable, UnitTable
 from calrig.store.trail import Act, What
+
+AT_ONCE = 1000
+"""Handed to SQLite together."""
+NO_RUN = 0
+_POSES = PoseTable.__table__  # type: ignore[attr-defined]
+_STAGED = Table(
+    "staged_pose", MetaData(), *(Column(c.name, c.type) for c in _POSES.columns), prefixes=["TEMPORARY"]
+)
+
+
+@contextmanager
+def staged_poses(database: Database, poses: Sequence[Pose]) -> Iterator[Connection]:
+    """The poses, as those of no run yet, on a connection for `Database.writing`; locks nothing."""
+    with database.staging() as connection:
+        with connection.begin():
+            _STAGED.create(connection)
+            for first in range(0, len(poses), AT_ONCE):
+                some = enumerate(poses[first : first + AT_ONCE], start=first)
+                connection.execute(
+                    insert(_STAGED), [pose_values(NO_RUN, index, pose) for index, pose in some]
+                )
+        yield connection
+
+
+def take_over(session: Session, run_id: int) -> None:
+    """Makes what was staged the poses of a run, inside the transaction that makes the run.
+
+    Their checksums have the run's number in them. A CRC is affine over GF(2), so that another number changes
+    all of one length by the same bits; and x ^ k is (x | k) - (x & k), since SQLite has no exclusive or.
+    """
+    rest = [0.0] * (1 + len(POSE_NUMBERS))
+    change = checksums.of_numbers([NO_RUN, *rest]) ^ checksums.of_numbers([run_id, *rest])
+    crc32 = _STAGED.c.crc32
+    anew = {
+        "run_id": literal(run_id),
+        "crc32": crc32.bitwise_or(change) - crc32.bitwise_and(change),
+    }
+    names = list(_STAGED.c.keys())
+    rows = select(*(anew.get(name, _STAGED.c[name]) for name in names))
+    session.execute(insert(PoseTable).from_select(names, rows))
+
 
 RunKind = Literal["calibration", "sweep", "verification", "static", "follow-up", "import"]
 """What a run is to a person; a follow-up and an import count as that alone."""
@@ -159,7 +200,7 @@ class Runs(Repository):
             raise ValueError(f"{run_id!r} is not a UUID, which the id of a new run is")
         now = datetime.now(UTC)
         with ExitStack() as stack:
-            staged = stack.enter_context(staging.staged(self._database, poses)) if poses else None
+            staged = stack.enter_context(staged_poses(self._database, poses)) if poses else None
             session = stack.enter_context(self._database.writing(on=staged))
             if run_id is not None and find_run(session, run_id) is not None:
                 raise Refused(f"there is a run {run_id} already")
@@ -178,7 +219,7 @@ class Runs(Repository):
                 note=note,
             )
             if staged is not None:
-                staging.take_over(session, row.id)
+                take_over(session, row.id)
             replace_result(session, row, result)
             event_log.append(session, row, [event_log.state(row)])
             what: What = "imported" if plan is None else "started"

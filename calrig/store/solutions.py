@@ -1,4 +1,4 @@
-"""Joint solutions, kept as they were found: a map is put in force from here, and compared with later ones."""
+"""Joint solutions as solved. A stage map is put in force from one, and compared with later ones."""
 
 from __future__ import annotations
 

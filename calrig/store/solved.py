@@ -1,4 +1,4 @@
-"""A joint solution as it is kept, before it has an id: it knows nothing of tables."""
+"""A joint solution before it has an id. It does not depend on the tables."""
 
 from __future__ import annotations
 

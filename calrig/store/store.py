@@ -1,4 +1,4 @@
-"""The store: every run, pose, event and raw sample, in one SQLite file or a PostgreSQL database."""
+"""The store: its repositories over one database."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
-from calrig.store.amendments import Amendments
+from calrig.store.amendments import AcceptedEffects, Amendments
 from calrig.store.batches import Batches
 from calrig.store.benches import Benches, Commands, Orders
 from calrig.store.database import BUSY_TIMEOUT_S, Database
-from calrig.store.effects import AcceptedEffects
 from calrig.store.engines import open_database
 from calrig.store.enrolment import Enrolment
 from calrig.store.event_log import EventLog

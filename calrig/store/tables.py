@@ -1,10 +1,6 @@
-"""Types of columns: times as text in UTC, hashes, checksums.
+"""Tables of the store and the types of their columns.
 
-The tables. A change here needs a migration beside it in migrations/versions (a test compares the two).
-
-The tables of what waits: lists of units for rigs, and the ends of runs that another program is told of.
-
-Tables of what is found of many runs: fleet findings, joint solutions, stage maps, studies of logs.
+A change here needs a migration in migrations/versions; a test compares the two.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The trail: who did what to which run, unit or rig, when and why; added to, never changed."""
+"""Audit log (trail): who changed which run, unit or rig, when and why. Entries are only added."""
 
 from __future__ import annotations
 

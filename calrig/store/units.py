@@ -1,7 +1,4 @@
-"""Units over their runs: the list, the comparison, the calibration in force and the accepted effects.
-
-What the customer said of a unit: whose it is, when and how it came. Entries are added, none is changed.
-"""
+"""Units: the list, the comparison of their calibrations, and the item as received from the customer."""
 
 from __future__ import annotations
 

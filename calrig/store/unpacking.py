@@ -1,8 +1,8 @@
-"""What benches have delivered, unpacked into the tables of runs: in order, and each of it once.
+"""Unpack the deliveries of benches into the tables of runs: in order, and each once.
 
-A parcel may come twice, or again after days: events are known by run and number, poses by run and index,
-blocks of samples by run and their number on the bench. What cannot be unpacked is kept, with all that its run
-delivers after it; other runs go on.
+A parcel may arrive twice, or again after days. Events are identified by run and number, poses by run and
+index, sample blocks by run and their number at the bench. A parcel that cannot be unpacked is kept, with all
+later ones of its run; other runs continue.
 """
 
 from __future__ import annotations

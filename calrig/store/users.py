@@ -1,4 +1,4 @@
-"""The people and programs that are known: by a token, of which the hash alone is kept, or by a proxy."""
+"""Users, people and programs: identified by a token, stored as its hash, or by a proxy."""
 
 from __future__ import annotations
 

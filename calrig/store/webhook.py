@@ -1,4 +1,4 @@
-"""Ends of runs that another program is to be told of: kept until it was, or until it is given up."""
+"""Ends of runs to be reported to another program, stored until delivered or given up."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def test_a_unit_on_a_bench_is_looked_at_before_its_run(
             (place,) = page.post(f"{path}/look").raise_for_status().json()["rigs"]
             return place["seen"]["says"] if place["seen"] and place["seen"]["state"] == "there" else ""
 
-        assert "see that it is AS-1. It sits still" in wait_for(there, "unit")
+        assert "without serial number. Check that the unit is AS-1" in wait_for(there, "unit")
         kept = centre.connection.execute("SELECT count(*) FROM bench_command").fetchone()
         assert kept == (1,), "of each rig the last look is kept"
         (place,) = page.post(f"{path}/start", json={"rig": "bench-1", "unit": "AS-1"}).json()["rigs"]

@@ -69,7 +69,7 @@ def test_units_go_one_after_the_other_and_one_that_fails_once_more_at_the_end(sh
 def test_of_two_who_press_enter_at_once_one_begins_the_run(shared_client):
     batch = made(shared_client, ["E-1", "E-2"], plan=LONG)
     assert looked(shared_client, batch)["rigs"][0]["seen"] is None, "nobody has asked for a look"
-    assert "see that it is E-1. It sits still" in seen(shared_client, batch, "there")["says"]
+    assert "without serial number. Check that the unit is E-1" in seen(shared_client, batch, "there")["says"]
     with ThreadPoolExecutor(2) as both:
         answers = list(both.map(lambda _: begun(shared_client, batch, "E-1"), range(2)))
     assert sorted(answer.status_code for answer in answers) == [200, 409]

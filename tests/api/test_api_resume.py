@@ -15,7 +15,7 @@ from command_line import calrig, reason
 from support import ended, fast, known_as, running_service, serving
 
 from calrig.plan import Plan
-from calrig.runs.launcher import mark_interrupted
+from calrig.runs.run_queue import mark_interrupted
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 
@@ -144,7 +144,7 @@ def test_a_word_a_little_off_is_found_out_at_the_last_pose_and_asked_for_again(k
     """Gravity allows ten degrees; the unit's own reading before the interruption does not."""
     off = killed.resume(stage_at_deg=killed.stands_deg + 3.0)
     assert off["status"] == "interrupted"
-    assert "more than before the interruption" in off["error"]
+    assert "across the interruption" in off["error"]
     assert f"`calrig resume {killed.run_id} --stage-at DEGREES`" in off["error"]
     assert killed.remembered_deg is None
     assert killed.resume(stage_at_deg=killed.table_deg())["status"] == "completed"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from copy import deepcopy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,8 +33,8 @@ def test_a_run_begun_at_its_bench_is_at_the_centre_as_it_was_measured(
     wait_for(lambda: centre.store.runs.get(measured.run.id), "run")
     _is_as_measured(centre, measured.run.id, measured)
     run = centre.run(measured.run.id)
-    known = replace(run, limit=None, provenance=measured.run.provenance)
-    assert known == replace(measured.run, limit=None)
+    known = run.model_copy(update={"limit": None, "provenance": measured.run.provenance})
+    assert known == measured.run.model_copy(update={"limit": None})
     acts = [(entry.act.what, entry.act.who) for entry in centre.store.trail.entries()]
     assert acts == [("started", "Ada"), ("drafted", "Ada"), ("released", "Ada")]
     assert centre.store.trail.broken_link() is None

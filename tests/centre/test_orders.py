@@ -40,7 +40,7 @@ def test_an_uncertainty_that_nobody_could_state_is_not_ordered_as_an_end(
     bench.beat(reference=None)
     ends = {"sweeps": 4, "until": {"expanded_uncertainty_deg": 0.5}}
 
-    with pytest.raises(Invalid, match="does not say what its angle is worth"):
+    with pytest.raises(Invalid, match="has no `reference`"):
         centre.start(unit="A", plan=Plan.model_validate({**QUICK, **ends}))
 
     assert bench.jobs() == []

@@ -40,12 +40,12 @@ def run(run_id: str, status: Any = "completed", bias_limit_deg: float | None = N
         faults={}, follows=None, provenance={}, operator=None, note=None, voided=None, created_at=NOW,
         started_at=NOW, finished_at=NOW, error=None, limit=limit,
     )  # fmt: skip
-    return replace(made, result=RESULT if status == "completed" else None, **more)
+    return made.model_copy(update={"result": RESULT if status == "completed" else None, **more})
 
 
 POOR, PLAIN, UNDECIDED = run("p", "failed"), run("d"), run("u", bias_limit_deg=1.0)
 FOLLOWS_NOTHING = RESULT.model_copy(update={"rms_calibrated_deg": None})
-FAILING = replace(UNDECIDED, id="p", result=FOLLOWS_NOTHING)
+FAILING = UNDECIDED.model_copy(update={"id": "p", "result": FOLLOWS_NOTHING})
 NOTHING = Progress(poses_done=0, poses_total=8, fraction=0.0, remaining_s=None)
 
 
@@ -80,7 +80,7 @@ def test_a_unit_that_fails_is_measured_once_more_at_the_end_and_not_again() -> N
         ("A", "waiting"),
     ]
     again = [now.turns[0], replace(now.turns[1], state="done"), Turn(2, "A", "running", "r", "p2")]
-    now = settled(again, {"p": POOR, "p2": replace(POOR, id="p2")}, ["r"], "end")
+    now = settled(again, {"p": POOR, "p2": POOR.model_copy(update={"id": "p2"})}, ["r"], "end")
     assert [turn.state for turn in now.turns] == ["failed", "done", "failed"]
     assert now.on["r"] is None
 
@@ -92,7 +92,12 @@ def test_or_the_run_that_tells_why_comes_next_while_it_is_mounted() -> None:
     assert on is not None and then is not None
     assert (on.unit, on.state, on.run_id, then.unit) == ("A", "follow_up", "p", "B")
     followed = [now.turns[0], now.turns[1], replace(now.turns[2], state="running", run_id="p2")]
-    now = settled(followed, {"p": FAILING, "p2": replace(FAILING, id="p2", follows="p")}, ["r"], "follow_up")
+    now = settled(
+        followed,
+        {"p": FAILING, "p2": FAILING.model_copy(update={"id": "p2", "follows": "p"})},
+        ["r"],
+        "follow_up",
+    )
     assert [turn.state for turn in now.turns] == ["failed", "waiting", "failed"]
 
 

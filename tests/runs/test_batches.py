@@ -72,7 +72,7 @@ def test_a_finished_list_is_closed_an_hour_after_its_last_unit_and_what_failed_h
         ((listed, takes_units),) = batches.listed()
         last = batches.standing(batch.id).active_at
         assert listed.closed_at == last + timedelta(hours=1) and not takes_units
-        with pytest.raises(Refused, match="closed: make another one"):
+        with pytest.raises(Refused, match="closed"):
             batches.add(batch.id, ["D"])
 
 
@@ -84,7 +84,7 @@ def test_a_list_with_units_left_stays_open_and_takes_further_ones_once_it_goes_o
         clock.hours = 8.1
         ((listed, takes_units),) = batches.listed()
         assert listed.closed_at is None and not takes_units
-        with pytest.raises(Conflict, match="measure a unit of it first, or make another list"):
+        with pytest.raises(Conflict, match="8 h"):
             batches.add(batch.id, ["C"])
         run = own_store.runs.create(unit="A", rig="bench-1", plan={}, status="running", provenance={})
         (first, _) = batch.turns

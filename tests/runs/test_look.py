@@ -25,9 +25,9 @@ def standing(angle_deg, *, axis=(0, 1, 2), g=1.0, spread_g=AT_REST_G):
 @pytest.mark.parametrize(
     ("samples", "mount", "stage_deg", "state", "says"),
     [
-        (standing(21), Mount(0), 20, "there", "still, by gravity at 21.0°"),
-        (standing(141), Mount(120), 20, "there", "still"),
-        (standing(93), Mount(0), None, "there", "still"),
+        (standing(21), Mount(0), 20, "there", "21.0° (by accelerometer)"),
+        (standing(141), Mount(120), 20, "there", "141.0°"),
+        (standing(93), Mount(0), None, "there", "93.0°"),
         (standing(0, spread_g=IN_HAND_G), Mount(0), 0, "moving", "being moved"),
         (standing(93), Mount(0), 20, "askew", "at 93.0°. Clamped as asked it would be at 20.0°"),
         (standing(0, axis=(2, 0, 1)), Mount(0), None, "askew", "x does not lie along the stage's axis"),
@@ -41,7 +41,7 @@ def test_gravity_tells_whether_the_unit_sits_as_asked(samples, mount, stage_deg,
 
 def test_the_boards_word_tells_which_unit_it_is():
     sight = evaluate_board(BOARD, standing(0), 0.0).sighting(Mount(0))
-    assert sight.of_unit("AS-0043").says.startswith("AS-0043 is there, says its board.")
+    assert sight.of_unit("AS-0043").says.startswith("Board of AS-0043")
     assert sight.of_unit("AS-0044").state == "wrong"
 
 

@@ -8,7 +8,7 @@ import pytest
 from run_rigs import ENDLESS, TruthRig, begin, moving, plan, states, until
 
 from calrig.analysis.errors import Conflict
-from calrig.runs.launcher import HELD, mark_interrupted
+from calrig.runs.run_queue import HELD, mark_interrupted
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 

@@ -12,7 +12,7 @@ from run_rigs import CLOCK, TruthRig, begin, plan, states, until
 
 from calrig.analysis.errors import Conflict
 from calrig.instruments.drivers import open_stage
-from calrig.runs.launcher import mark_interrupted, stop_stages
+from calrig.runs.run_queue import mark_interrupted, stop_stages
 from calrig.runs.service import RunService
 from calrig.store import Run, Store
 

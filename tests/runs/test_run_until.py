@@ -66,5 +66,5 @@ def test_a_rig_that_states_no_reference_cannot_wait_for_an_uncertainty(
     bench: TruthRig, serve: Callable[..., RunService]
 ) -> None:
     bench.settings = bench.settings.model_copy(update={"reference": None})
-    with pytest.raises(Invalid, match="does not say what its angle is worth"):
+    with pytest.raises(Invalid, match="has no `reference`"):
         begin(serve(bench), PLAN)

@@ -11,7 +11,8 @@ import pytest
 from sqlalchemy import create_engine
 
 from calrig.settings import packed
-from calrig.store import Store, StoreError, revisions
+from calrig.store import Store, StoreError
+from calrig.store import database as revisions
 from calrig.store.sqlite.copying import stored_revision
 
 LATER = """

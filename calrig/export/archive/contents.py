@@ -281,8 +281,10 @@ def _spans(indices: Sequence[int]) -> list[list[int]]:
 
 def _run_document(run: Run) -> Document:
     verdict = run.verdict
+    names = ["id", "unit", "rig", "status", "plan", *type(run).model_fields]  # in the order of every archive
     return {
-        **{name: value for name, value in asdict(run).items() if name != "suspect"},
+        **{name: getattr(run, name) for name in dict.fromkeys(names) if name != "suspect"},
+        "limit": None if run.limit is None else run.limit.to_dict(),
         "verdict": None if verdict is None else verdict.to_dict(),
     }
 

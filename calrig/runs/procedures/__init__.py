@@ -1,1 +1,1 @@
-"""Carry out a plan, procedure by procedure: dwell, continuous, static."""
+"""Carry out a plan by one of three procedures: dwell, continuous, static."""

@@ -1,12 +1,8 @@
-"""One pass of a sweep as it was seen, and the poses that its stretches and the dwell at its end make.
+"""Continuous sweep: the stage rotates slowly from end to end, and a pose is a segment of its travel.
 
-About what each pose of a sweep takes: by the plan, for the time that is left of its run.
-
-A sweep: the stage turns slowly from end to end without stopping, and a pose is a stretch of its way.
-
-Each pass ends with a dwell. Its poses follow once the stage stands: what the gyro has felt of the last part
-of the way tells how late the stage's reports come (`calrig.estimation.turning`), and the dwell whether the
-motor biases the accelerometer while it turns (`calrig.calibration.motor_vibration`).
+Each traverse ends with a dwell; its poses are computed at standstill. The gyro over the last segment gives
+the delay of the stage's reports (`calrig.estimation.turning`). The dwell shows whether motor vibration
+biases the accelerometer (`calrig.calibration.motor_vibration`).
 """
 
 from __future__ import annotations

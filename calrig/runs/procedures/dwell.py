@@ -1,4 +1,4 @@
-"""One run of dwells on an open rig: home, then for each pose move, settle, dwell; the dwell is the pose."""
+"""Dwell procedure: home, then move, settle and dwell for each pose; a pose is one dwell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A `static` plan: the stage stands still and the log is kept, whole, for the analysis of its noise."""
+"""Static procedure: the stage is at rest, and the whole log is stored for noise analysis."""
 
 from __future__ import annotations
 

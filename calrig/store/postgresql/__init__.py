@@ -1,1 +1,1 @@
-"""PostgreSQL's own cares: many writers at once, who is told of what, what the server reports."""
+"""PostgreSQL engine: concurrent writers, notifications, roles, error messages."""

@@ -1,4 +1,4 @@
-"""The URL by which a bench reaches its centre's database."""
+"""URL by which a bench reaches its centre's database."""
 
 from __future__ import annotations
 

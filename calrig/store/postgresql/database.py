@@ -1,4 +1,4 @@
-"""The PostgreSQL database: any number of processes write to it, one transaction at a time."""
+"""PostgreSQL database: any number of processes write, one transaction at a time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from sqlmodel import Session
 
 from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.store.checksums import from_json, to_json
-from calrig.store.database import LOOK_S, Database
+from calrig.store.database import LOOK_S, Database, migrate, revisions
 from calrig.store.errors import StoreDamagedError, StoreError
 from calrig.store.postgresql.errors import DAMAGED, store_error
 from calrig.store.postgresql.set_up import is_secure, is_set_up, secure, set_up
 from calrig.store.records import Size
-from calrig.store.revisions import migrate, revisions
 
 TURN = 0x63616C726967
 """Advisory lock of who writes: numbers that follow on one another (revisions, the trail, a run's events)

@@ -1,4 +1,4 @@
-"""What PostgreSQL reports, in words and with what to do."""
+"""Messages for errors that PostgreSQL reports, with what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A thread that hears what the database tells (`calrig.store.postgresql.set_up`), and connects again."""
+"""Thread that receives notifications of the database (`set_up`) and reconnects after a loss."""
 
 from __future__ import annotations
 

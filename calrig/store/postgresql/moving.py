@@ -1,4 +1,4 @@
-"""PostgreSQL at either end of a move: who else is connected, rows laid by COPY, and what no row may hold."""
+"""PostgreSQL as source or target of a move: connected clients, COPY, values that no row may hold."""
 
 from __future__ import annotations
 

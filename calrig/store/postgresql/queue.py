@@ -1,7 +1,7 @@
-"""Procrastinate's queues of the runs that benches are to carry out, one a rig, in the centre's database.
+"""Procrastinate queues in the centre's database: one per rig, for the runs that its bench carries out.
 
-A job is a wake-up and nothing more: it says that a run has an order of some epoch. What is to be done stands
-in `run_order`; a job that comes twice, late or not at all changes nothing of it. The engine retries none.
+A job is only a wake-up: a run has an order of some epoch. The row in `run_order` is authoritative, so a job
+that arrives twice, late or never changes nothing. Jobs are not retried.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import psycopg
 from procrastinate import App, SyncPsycopgConnector
 from procrastinate.connector import BaseConnector
 
-from calrig.store.rig_queues import queue_of
+from calrig.store.bench_tables import queue_of
 
 CARRY_OUT = "carry_out"
 """The only task: `carry_out(run_uid, epoch)`."""

@@ -1,11 +1,8 @@
-"""What a centre's database has beside its tables: Procrastinate's schema, and triggers that tell of news.
+"""Set up a centre's database beside its tables: queues, notification triggers, rights of benches.
 
-A notification is a hint: whoever hears of it looks into the tables, which alone say what happened.
-
-What a bench may touch of a centre's database: a role each, grants by column, row-level security.
-
-All benches are in one group, which holds the rights; a policy a table shows each of them its own rows. The
-centre's own role owns the tables, for which the policies do not hold.
+A notification is a hint; the tables are authoritative. Each bench has a role in one group that holds the
+rights, granted by column. A row-level policy of each table shows a bench only its own rows. The centre's role
+owns the tables and is exempt from the policies.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""SQLite's own cares: its file, who may write to it, its write-ahead log, copies of it, what it reports."""
+"""SQLite engine: the file, its single writer, write-ahead log, copies, error messages."""

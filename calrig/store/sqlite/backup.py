@@ -1,4 +1,4 @@
-"""A backup of a store, also while it is written to."""
+"""Back up a store, also while it is written to."""
 
 from __future__ import annotations
 

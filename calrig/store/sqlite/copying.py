@@ -1,7 +1,4 @@
-"""A copy of a store: complete and sound, or not there.
-
-Which revision a file is at, and bringing it to the program's after a copy is kept.
-"""
+"""Copy a store completely and verified, or not at all; migrate a file after a copy of it is stored."""
 
 from __future__ import annotations
 
@@ -10,9 +7,8 @@ import os
 import sqlite3
 from pathlib import Path
 
-from calrig.store.database import BUSY_TIMEOUT_S
+from calrig.store.database import BUSY_TIMEOUT_S, migrate, revisions
 from calrig.store.errors import StoreError
-from calrig.store.revisions import migrate, revisions
 from calrig.store.sqlite import file as file_system
 from calrig.store.sqlite.errors import damaged, store_error
 from calrig.store.sqlite.file import connect, refuse_foreign

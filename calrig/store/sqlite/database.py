@@ -1,4 +1,4 @@
-"""The SQLite file: finding it, opening it, and short transactions on it from many threads."""
+"""SQLite file: find it, open it, and run short transactions from many threads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sqlmodel import Session
 from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.model.run import UNFINISHED
 from calrig.store.checksums import from_json, to_json
-from calrig.store.database import LOOK_S, Database
+from calrig.store.database import LOOK_S, Database, revisions
 from calrig.store.errors import (
     AddressOfNoStoreError,
     NoStore,
@@ -28,7 +28,6 @@ from calrig.store.errors import (
     StoreUnavailableError,
 )
 from calrig.store.records import Size
-from calrig.store.revisions import revisions
 from calrig.store.sqlite import copying
 from calrig.store.sqlite import file as file_system
 from calrig.store.sqlite.copying import check_sound

@@ -1,4 +1,4 @@
-"""What SQLite, or the system, reports about a store's file, in words and with what to do."""
+"""Messages for errors that SQLite or the system reports about a store's file, with what to do."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Connections to a file that somebody else may have had a hand in: its schema runs nothing of theirs.
+"""Connections to a file that another program may have changed: its schema cannot execute anything.
 
-What the store's file lies on, and how it can be read there.
+Also finds which file system the file is on, and how it can be read there.
 """
 
 from __future__ import annotations

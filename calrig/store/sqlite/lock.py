@@ -1,7 +1,4 @@
-"""Whose process listens at an address of this machine.
-
-One writer at a time: an advisory lock beside the database that says who holds it.
-"""
+"""Single writer of a file: an advisory lock beside the database that names its holder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SQLite at either end of a move: who writes to the file, and rows laid as they are."""
+"""SQLite as source or target of a move: the writer of the file, and rows inserted unchanged."""
 
 from __future__ import annotations
 

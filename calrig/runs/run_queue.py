@@ -1,12 +1,8 @@
-"""Start runs: at once or in their turn, and after a program's death mark what it left.
+"""Queue of the runs that wait for a rig, and the recovery after a program's death.
 
-Runs that wait for a rig of this machine: each begins when the rig is free, in the order asked for.
-
-What an ended program left waiting is held: after a power cut nothing moves until somebody says Go.
-
-Runs begin: one at a time on each rig, at once or when those that were asked for before have ended.
-
-After a program died: every stage it may have left moving is told to stop, then its runs are marked.
+Each queued run starts when its rig is free, in the order of the requests. Runs that an earlier process left
+queued are held: after a power cut nothing moves until a user resumes them. Every stage that a dead program
+may have left moving is stopped before its runs are marked.
 """
 
 from __future__ import annotations
@@ -15,27 +11,15 @@ import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 from calrig.analysis.errors import Conflict, RunsError
-from calrig.analysis.revisions import Issuer
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.standstill import CUT
-from calrig.runs.assignment import NewRun, RunAssignment
-from calrig.runs.clamps import Clamps
-from calrig.runs.crew import WorkerRegistry
-from calrig.runs.plan_estimates import planned_poses
-from calrig.runs.presence import PresenceMonitor
 from calrig.runs.recorder import Bus, ServiceMetrics
-from calrig.runs.resume import waiting_task
-from calrig.runs.rig import require_in_date, stop_stage
-from calrig.runs.stage_position import is_lost_since, resumed_by
+from calrig.runs.rig import is_lost_since, resumed_by, stop_stage
 from calrig.runs.stopping import BY_REQUEST
-from calrig.runs.stopping_rule import require_reachable
-from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, RunChanges, Store, StoreError
-from calrig.store.records import Document
 
 log = logging.getLogger(__name__)
 
@@ -188,105 +172,6 @@ class RunQueue:
 def waits_its_turn(run: Run) -> bool:
     """Whether a stored run has never moved anything, nor opened a port: it is queued and never began."""
     return run.status == "queued" and run.started_at is None
-
-
-class RunLauncher:
-    """Has a service's runs begin. Thread-safe.
-
-    Attributes:
-        lock: held while the store is told of a run that takes a rig.
-        queue: of runs that wait for a rig.
-        clamps: of the rigs; while one turns, no run begins there.
-        sightings: of the units on idle rigs, which end where a run begins and leave it the open port.
-
-    Args:
-        store: where runs are kept.
-        rigs: those there are.
-        crew: which workers are on them.
-        bus, meter: hear of the runs.
-        issuer: makes drafts of completed calibrations.
-        maps: as of `RunService`.
-        record: folder for transcripts of every byte on the rigs' wires; None for none.
-    """
-
-    def __init__(
-        self,
-        store: Store,
-        rigs: Mapping[str, RigSettings],
-        crew: WorkerRegistry,
-        bus: Bus,
-        meter: ServiceMetrics,
-        issuer: Issuer,
-        maps: Mapping[str, Document],
-        record: Path | None,
-    ) -> None:
-        self._store, self._rigs, self._crew, self._bus, self._meter = store, rigs, crew, bus, meter
-        self._issuer, self._maps, self._record = issuer, maps, record
-        self.lock = threading.Lock()
-        self.queue = RunQueue(store, bus, meter, self.lock, self._require_ready, self._begin_waiting)
-        self.clamps = Clamps(crew, self.queue.next)
-        self.sightings = PresenceMonitor(store, crew)
-
-    def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool) -> Run:
-        """Begins a run on a rig, which is free or kept for it, or has it wait; as of `RunService.begin`."""
-        plan = wanted.plan
-        require_in_date(settings)
-        planned = planned_poses(plan, settings)
-        wanted = wanted.as_of_now(self._store, settings.name, self._maps)
-        require_reachable(plan, settings, wanted.unit, self._store, wanted.origin.get("stage_map"))
-        with self.lock:
-            self.clamps.require_still(settings.name)
-            try:
-                self._crew.require_free(settings.name, wanted.run_id)
-                self.queue.require_nobody(settings.name)
-            except Conflict:
-                if not waits or self._crew.is_closing:
-                    raise
-                return self._wait_in_turn(settings.name, wanted, len(planned))
-            run = wanted.keep(self._store, settings.name, len(planned))
-            task = RunAssignment(
-                run,
-                settings,
-                plan,
-                planned,
-                wanted.follow_up,
-                wanted.verifies,
-                stage_at_deg=wanted.stage_at_deg,
-            )
-            self.employ(task)
-        return run
-
-    def employ(self, task: RunAssignment) -> None:
-        """Starts a worker; called under `lock`."""
-        left = self._crew.left_rig
-        worker = Worker(
-            task, self._store, self._issuer, self._bus, self._meter, left, self._ended, self._record
-        )
-        if self._crew.take(worker):
-            worker.control.end(BY_REQUEST)
-        worker.start(self.sightings.let_go(worker.rig.name))
-
-    def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
-        if wanted.stage_at_deg is not None:
-            raise Conflict("where the stage stands cannot be said of a run that waits: others move it before")
-        run = wanted.keep(self._store, rig_name, n_poses)
-        self.queue.add(run)
-        return run
-
-    def _begin_waiting(self, run: Run) -> None:
-        """Begins a run whose turn has come."""
-        settings = self._rigs.get(run.rig or "")
-        if settings is None:
-            raise Conflict(f"rig {run.rig!r} is not configured any more")
-        self.employ(waiting_task(self._store, run, settings, self._maps))
-
-    def _require_ready(self, rig_name: str) -> None:
-        self._crew.require_free(rig_name)
-        self.clamps.require_still(rig_name)
-
-    def _ended(self, worker: Worker) -> None:
-        self._crew.ended(worker)
-        self.queue.next(worker.rig.name)
 
 
 DIED = "the program that carried it out ended before the run did; the run can be resumed"
