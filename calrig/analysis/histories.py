@@ -1,9 +1,4 @@
-"""The histories of all units side by side: arrays of what their runs gave, and what changed between them.
-
-What changed between two runs, in sentences.
-
-What changed from each run of a unit to the next: CONTRACT section 2's `changes`.
-"""
+"""Use cases of histories: the runs of all units side by side, what changed between runs, in sentences."""
 
 from __future__ import annotations
 

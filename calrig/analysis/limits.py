@@ -1,7 +1,4 @@
-"""Limits as people give them, in a file or over HTTP, and what they mean for a run that has yet to begin.
-
-Runs that somebody looks for, by their verdict as well.
-"""
+"""Use cases of limits: replace them, check whether a plan can pass them, search runs by verdict."""
 
 from __future__ import annotations
 

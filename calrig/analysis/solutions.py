@@ -1,7 +1,4 @@
-"""A run's poses with what its samples say of the gyro's three axes, as a file of poses has it in columns.
-
-Stored runs of one rig as the joint solution takes them, and the solution as it is kept.
-"""
+"""Solve stored runs of one rig jointly: gather their poses with the gyro columns, make the solution."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""The guard of a rig's map: its check unit, or whichever unit came back to the rig.
+"""Use cases of a rig's stage map: which one is in force, what a run stores of it, and whether it is valid.
 
-The stage's map that a rig's elevations rest on: which is in force, and what a run keeps of it.
-
-A map that somebody put in force (`POST /api/rigs/{name}/map`) goes before the file that the configuration
-names; once it is withdrawn, the file counts again.
+A map that was put in force (`POST /api/rigs/{name}/map`) precedes the file that the configuration names. Once
+it is withdrawn, the file is in force again.
 """
 
 from __future__ import annotations

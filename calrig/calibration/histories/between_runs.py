@@ -1,8 +1,6 @@
-"""Many tests at once: which of them count, so that few of those that do are chance.
+"""Compare runs of a unit: changes beyond re-clamping and the day, drift, and components between units.
 
-What changed between two runs of a unit, beyond what every re-clamping and every day changes.
-
-Units side by side: how a unit drifts, and how units differ beyond what one repeats.
+A false discovery rate decides how many of the units tested together count as changed.
 """
 
 from __future__ import annotations

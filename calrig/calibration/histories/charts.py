@@ -1,6 +1,7 @@
-"""Control charts for histories that are short: the mean is learned on the way, the spread is known.
+"""Chart a unit's or a rig's history, and forecast when the unit is due.
 
-When a unit is due again: where the forecast of its drift, with its uncertainty, reaches a limit.
+Control charts for short histories: the mean is learned from the runs, the spread is known. The due date is
+the day on which the forecast of the drift, with its uncertainty, reaches a limit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The quickest of many designs that reaches what is wanted, or the best one for a time.
-
-The time that no plan is under.
-"""
+"""Find the quickest design that reaches its goals, the best one for a time, and the limit of all designs."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What a design is to reach, as the scatter that its readings may have.
-
-What a plan is designed for, and a design: what both of its kinds have in common.
-"""
+"""Define the problem that a design solves: goals, reference, precision and pace; and the design itself."""
 
 from __future__ import annotations
 

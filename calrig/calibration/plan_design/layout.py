@@ -1,9 +1,4 @@
-"""What a design rests on: how precise a reading is, and what time a rig takes.
-
-Where the poses of a design stand, and in which order they are visited.
-
-Designs that turn without stopping: stretches for poses, a dwell at either end of each pass.
-"""
+"""Lay poses out: dwells or continuous sweeps, in which order, with which precision and in which time."""
 
 from __future__ import annotations
 

@@ -1,23 +1,23 @@
-"""A gyro's bias and its sensitivity to gravity, from its means while the stage stands.
+"""Calibrate a unit's gyro as `true = matrix·(raw − bias − dps_per_g·a)`, in its accelerometer's frame.
+
+Dwells, while the stage is at rest, give the bias and its sensitivity to gravity:
 
     mean = bias + per_c·ΔT + D·g + h·n + k·(g × n)
 
 g is gravity's direction, n the stage's axis, both in the unit; h and k are Earth's rate along the axis and
-level across it, no more than 0.0042 dps each. Its rate about the vertical turns with g and cannot be told
-from D: up to 0.0042 dps/g of D's diagonal is Earth's.
+level across it, at most 0.0042 dps each. Earth's rate about the vertical rotates with g and cannot be
+distinguished from D: up to 0.0042 dps/g of D's diagonal is Earth's.
 
-A whole gyro from turns about axes that the accelerometer knows, and from the dwells between them.
+Rotations about axes that the accelerometer knows, with the dwells between them, give the matrix:
 
     ∫(raw − bias) dt = G·n·Δφ + e·T − t·|Δφ|·r
 
-n is the stage's axis in the unit, as the mounts have it; Δφ what the table turned. A full turn closes on
-360° whatever the stage does; of shorter moves the map is needed, as well as it is known. e is what a dwell's
-mean and the move's differ by (Earth's rate across the axis, gravity's influence): the same both ways, so that
-turns both ways part it from G. r is the noise of the two dwells' means, which were taken off as the bias: the
-other dwells tell it, and how long a move lasts by the turn, t, is found from it. Time is the board's: a clock
-that is fast by 1 % is a gyro whose scale is 1 % off.
-
-A unit's gyro as `true = matrix·(raw − bias − dps_per_g·a)`, in the frame of its accelerometer.
+n is the stage's axis in the unit, as the mounts have it; Δφ the table's rotation. A full turn closes on 360°
+whatever the stage does; shorter moves need the map and are as uncertain as it is. e is the difference between
+a dwell's mean and the move's (Earth's rate across the axis, gravity's influence): it is equal both ways, so
+that rotations both ways separate it from G. r is the noise of the two dwells' means, which were taken off as
+the bias: the other dwells show it, and how long a move lasts by the rotation, t, is estimated from it. Time
+is the board's: a clock that is fast by 1 % is a gyro scale that is 1 % off.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.poses import Pose
-from calrig.calibration.separation.stage_reference import StageMap, dial_of
+from calrig.calibration.separation.stage_map import StageMap, dial_of
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 PLACE_DEG = 1.0

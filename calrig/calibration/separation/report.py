@@ -1,7 +1,4 @@
-"""The joint solution as CONTRACT section 8's document, of units in the plane and of whole ones.
-
-Also what each pose leaves of its angle, without the stage's map and with it: for pictures.
-"""
+"""Write the joint solution as CONTRACT section 8's document, and its pose residuals for figures."""
 
 from __future__ import annotations
 

@@ -1,11 +1,4 @@
-"""Evaluate the uncertainty of a calibrated elevation (GUM): budget, U, errors over the range.
-
-What a calibrated elevation is worth: CONTRACT section 6's `uncertainty`, after the GUM.
-
-The error left of a calibrated elevation over its range, and how well it is known: limits rest on it.
-
-What a rig's reference made of a result, as the result keeps it.
-"""
+"""Evaluate the uncertainty of a calibrated elevation (GUM): budget, U, errors over the range."""
 
 from __future__ import annotations
 
