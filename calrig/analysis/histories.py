@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -120,11 +121,7 @@ def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
     """
     rows = store.comparison(serials, latest=POOLED)
     units, day, figures = _arrays(store, rows)
-    packed = tuple(
-        _Packed(*(np.ascontiguousarray(getattr(runs, name)).tobytes() for name in Runs.__slots__))
-        for runs in figures
-    )
-    return Histories(rows, units, day, figures, _changes(packed))
+    return Histories(rows, units, day, figures, _changes(pickle.dumps(figures)))
 
 
 def change_between(store: Store, before: ComparisonRow, now: ComparisonRow) -> tuple[Changes, int]:
@@ -183,27 +180,10 @@ def _arrays(store: Store, rows: list[ComparisonRow]) -> tuple[list[str], FloatAr
     return serials, day, (figures[0], figures[1])
 
 
-@dataclass(frozen=True, slots=True)
-class _Packed:
-    """`Runs` that can be looked up."""
-
-    unit: bytes
-    rig: bytes
-    day: bytes
-    value: bytes
-    std: bytes
-    stage_variance: bytes
-
-    def runs(self) -> Runs:
-        unit, rig, day = (np.frombuffer(one, dtype=np.intp) for one in (self.unit, self.rig, self.day))
-        value, std, stage = (np.frombuffer(one) for one in (self.value, self.std, self.stage_variance))
-        return Runs(unit, rig, day, value, std, stage)
-
-
 @lru_cache(maxsize=4)
-def _changes(figures: tuple[_Packed, ...]) -> Changes:
-    """Kept while the store stays as it is: a page asks for the same many times."""
-    return changes(tuple(packed.runs() for packed in figures))
+def _changes(figures: bytes) -> Changes:
+    """Return the changes of pickled `Runs`; cached, because a page asks many times for the same ones."""
+    return changes(pickle.loads(figures))  # noqa: S301 (pickled by the caller, never stored)
 
 
 def _counts(rows: list[ComparisonRow]) -> IntArray:

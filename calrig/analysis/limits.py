@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import datetime
 from types import MappingProxyType
 
 import numpy as np
@@ -18,11 +16,11 @@ from calrig.model.plan import Plan
 from calrig.model.result import Reference
 from calrig.model.verdict import Limit
 from calrig.settings import LimitSettings, RigSettings, Settings
-from calrig.store import Run, Store
+from calrig.store import Store
 from calrig.store.errors import StoreError
 from calrig.store.records import Document
 from calrig.store.runs import Sought
-from calrig.store.verdicts import Judged
+from calrig.store.verdicts import Judged, RunPage
 
 
 def limit_of(given: LimitSettings) -> Limit:
@@ -93,34 +91,19 @@ def cannot_pass_on(
     return cannot_pass(limit, reference, theta_deg)
 
 
-@dataclass(frozen=True, slots=True)
-class FoundRuns:
-    """A page of runs.
-
-    Attributes:
-        items: the newest first.
-        next_cursor: of the next page; None after the last.
-        back_to: when the oldest run was made that was looked at, found or not; None where there was none.
-    """
-
-    items: list[Run]
-    next_cursor: str | None
-    back_to: datetime | None
-
-
 def found_runs(
     store: Store, sought: Sought, judged: Judged | None, limit: int, cursor: str | None
-) -> FoundRuns:
-    """A page of runs as of `Store.sought_runs`; with a verdict it may be short, and is not the last for that.
+) -> RunPage:
+    """Return a page of runs as `Store.sought_runs` does; with a verdict a short page need not be the last.
 
     Raises:
         ValueError: as there.
     """
     if judged is None:
         items, next_cursor = store.sought_runs(sought, limit=limit, cursor=cursor)
-        return FoundRuns(items, next_cursor, items[-1].created_at if items else None)
+        return RunPage(items, next_cursor, items[-1].created_at if items else None)
     found = store.judged_runs(sought, judged, limit=limit, cursor=cursor)
     if found.judged_whole:
-        with suppress(StoreError):  # it is for the next search
+        with suppress(StoreError):  # it only makes the next search faster
             store.judge(found.judged_whole)
-    return FoundRuns(found.items, found.next_cursor, found.back_to)
+    return found

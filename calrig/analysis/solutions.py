@@ -12,7 +12,7 @@ import numpy as np
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.stored_runs import axis_of, counted_poses, ended_run, limits_of
 from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, MOUNT_DEG, Pose
-from calrig.calibration.separation import MountedPoses
+from calrig.calibration.separation import MapError, MountedPoses, StageMap
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
 from calrig.run_ids import short_name
@@ -21,6 +21,7 @@ from calrig.store.solved import Basis, Frame, Solved
 
 if TYPE_CHECKING:
     from calrig.store import Store
+    from calrig.store.solutions import StoredSolution
 
 
 def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
@@ -174,6 +175,20 @@ def answer(asked: SolutionInputs, progress: Callable[[float], None] = lambda _: 
         stage_map=stage_map_document(solution, asked.rig),
         poses=pose_residuals(solution),
     )
+
+
+def usable_map(solution: StoredSolution) -> StageMap:
+    """Return the stage map of a stored solution.
+
+    Raises:
+        Conflict: it cannot be used, why, and which mounts would help.
+    """
+    try:
+        return StageMap.from_document(solution.found.stage_map)
+    except MapError as error:
+        advice = solution.found.document.get("advice") or {}
+        helps = f": {advice['says']}" if advice.get("says") else ""
+        raise Conflict(f"the map of solution {solution.id} {error}{helps}") from error
 
 
 def _runs(store: Store, wanted: SolutionRequest) -> list[Run]:

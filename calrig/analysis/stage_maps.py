@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.solutions import mounted
+from calrig.analysis.solutions import mounted, usable_map
 from calrig.calibration.separation import MapCheck, MapError, StageMap, checked, in_words
 from calrig.calibration.uncertainty import deg, percent
 from calrig.settings import RigSettings, Settings, SettingsError
@@ -176,12 +176,7 @@ def put_in_force(store: Store, rig: str, solution_id: str, *, who: str | None) -
         raise Conflict(
             f"solution {solution_id} is of rig {solution.found.rig!r}: each stage has a map of its own"
         )
-    try:
-        StageMap.from_document(solution.found.stage_map)
-    except MapError as error:
-        advice = solution.found.document.get("advice") or {}
-        helps = f": {advice['says']}" if advice.get("says") else ""
-        raise Conflict(f"the map of solution {solution_id} {error}{helps}") from error
+    usable_map(solution)
     return store.put_stage_map(rig, solution_id, solution.found.stage_map, who=who)
 
 

@@ -100,8 +100,7 @@ def _of_mount(fit: Fit, k: int, rows: Intp) -> dict[Cause, tuple[float, float]]:
     white, _ = whitened(values, rows, problem.table.source[rows], problem.correlation)
     flat = white.reshape(-1, white.shape[2])
     more = sum(term.shape[2] for term in terms.values())
-    at = np.concatenate([problem.own_at(k), np.arange(problem.first_order, problem.size)])
-    inverse = fit.inverse.between(np.eye(problem.size)[at])
+    inverse = fit.inverse.at(np.concatenate([problem.own[k], np.arange(problem.first_order, problem.size)]))
     return _explained(fit, flat[:, more:-1] @ _root(inverse), flat, terms)
 
 

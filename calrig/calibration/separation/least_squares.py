@@ -65,12 +65,12 @@ class Fit:
     weights: FloatArray
 
     def covariance_of(self, rows: FloatArray) -> FloatArray:
-        """(m, m) of what is linear (m, p) in the parameters."""
+        """Return (m, m) the covariance of what is linear (m, p) in the parameters."""
         return self.noise**2 * self.inverse.between(rows)
 
     def covariance_at(self, places: Intp) -> FloatArray:
-        """(m, m) of some parameters."""
-        return self.covariance_of(np.eye(len(self.parameters))[places])
+        """Return (m, m) the covariance of some parameters."""
+        return self.noise**2 * self.inverse.at(places)
 
     @property
     def kept(self) -> BoolArray:
@@ -90,14 +90,14 @@ class Fit:
 
     def leverage(self) -> FloatArray:
         """(n, c) share of each response that its own measurement has in what is expected of it."""
-        problem, inverse = self.problem, self.inverse.whole()
+        problem = self.problem
         found = np.zeros_like(self.normal.residuals)
         of_map = np.arange(problem.first_order, problem.size)
         for k in range(len(problem.table.mounts)):
             rows = problem.table.mount == k
-            at = np.concatenate([problem.own_at(k), of_map])
+            inverse = self.inverse.at(np.concatenate([problem.own[k], of_map]))
             derivatives = self.normal.derivatives[rows]
-            found[rows] = ((derivatives @ inverse[np.ix_(at, at)]) * derivatives).sum(axis=2)
+            found[rows] = ((derivatives @ inverse) * derivatives).sum(axis=2)
         return found
 
     def identified(self) -> tuple[int, int]:
