@@ -113,7 +113,7 @@ POOLED = 5_000
 
 
 def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
-    """Of units: whether one has changed is held against how all others repeat.
+    """Return the histories of units; a change is tested against how all units repeat.
 
     Args:
         store: where they are.
@@ -216,15 +216,15 @@ STANDS_OUT = 3.0
 
 
 def difference_in_words(differences: Sequence[Differences], k: int, verdict: str) -> str:
-    """The k-th difference of bias and scale: how far each moved, and what that is held against."""
+    """Say the k-th difference of bias and scale: how far each moved, and its uncertainty."""
     named = zip(FIGURE_NAMES, differences, strict=True)
     known = [(name, unit, d) for (name, unit), d in named if math.isfinite(d.value[k])]
     if verdict == "not_known":
         moved = (f"{name} by {plus_minus(d.value[k], d.type_a_std[k], unit)}" for name, unit, d in known)
         by = " and ".join(moved) or "nothing that is known"
         return (
-            f"Moved: {by} (the noise of both runs alone). What clamping anew and "
-            "the day add is not known yet: that takes more units that were calibrated twice."
+            f"Moved: {by} (the noise of both runs alone). What remounting and the "
+            "day add is not known yet: that takes more units that were calibrated twice."
         )
     tested = [one for one in known if math.isfinite(one[2].std[k])]
     if verdict == "unchanged":

@@ -24,12 +24,12 @@ from calrig.store.verdicts import Judged, RunPage
 
 
 def limit_of(given: LimitSettings) -> Limit:
-    """The limit that somebody wrote."""
+    """Return the limit with these settings."""
     return Limit(**given.model_dump())
 
 
 def keep_configured(settings: Settings, store: Store) -> None:
-    """Has the store hold the limits of the configuration, where it gives any, for all who read it."""
+    """Store the limits of the configuration, if it has any, for everything that reads the store."""
     if settings.limit:
         found = f"as {settings.file} has them"
         store.replace_limits([limit_of(one) for one in settings.limit], who=None, reason=found)
@@ -38,12 +38,12 @@ def keep_configured(settings: Settings, store: Store) -> None:
 def replace(
     store: Store, given: Sequence[LimitSettings], *, who: str | None, kept_in: str | None
 ) -> list[Limit]:
-    """Puts limits in the place of those there are.
+    """Replace all limits.
 
     Args:
         store: where they are kept.
         given: the new ones, in the order that they are tried in.
-        who: changes them; None where nobody is known by name.
+        who: user who changes them; None if unknown.
         kept_in: the file that gives the limits; None where it does not.
 
     Raises:
@@ -51,7 +51,7 @@ def replace(
         Invalid: two have one name.
     """
     if kept_in is not None:
-        raise Conflict(f"the limits stand in {kept_in} ([[limit]]): change them there and start calrig again")
+        raise Conflict(f"the limits are kept in {kept_in} ([[limit]]): change them there and restart calrig")
     names = [one.name for one in given]
     for place, name in enumerate(names):
         if name in names[:place]:
@@ -64,7 +64,7 @@ def replace(
 def cannot_pass_on(
     rig: RigSettings, unit: str, plan: Plan, store: Store, maps: Mapping[str, Document] = MappingProxyType({})
 ) -> list[str]:
-    """Why no unit can pass its limits on a rig by a plan, said before anything moves; empty where one can.
+    """Return why no unit can pass its limits on a rig by a plan; empty if one can.
 
     Args:
         rig: of the run to come.

@@ -128,7 +128,7 @@ def solved_verdict(
     poses: Sequence[StoredPose],
     doubts: Sequence[Doubt],
 ) -> Verdict:
-    """The solution held against the limits, by what it leaves of the poses of its run.
+    """Test a solution against the limits, by the residuals of its run's poses.
 
     What the solution is uncertain of is one smooth curve over the range; a limit's risk takes of it the line
     whose covariance the document has.
@@ -153,7 +153,7 @@ def solved_verdict(
 
 
 def _as_one_calibration(result: FittedResult) -> FittedResult:
-    """A result whose bias and scale are nothing without the effects: 0 and 1 that nobody fitted."""
+    """Return a result whose bias and scale mean nothing without the effects: 0 and 1, not fitted."""
     return result.model_copy(
         update={
             "rms_calibrated_deg": result.rms_with_effects_deg,

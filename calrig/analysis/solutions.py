@@ -45,7 +45,7 @@ def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
 
 
 def _of_samples(store: Store, run_id: str, poses: list[Pose], indices: Sequence[int]) -> list[Pose]:
-    """The poses as they are, where their samples are not stored or their clock began anew."""
+    """Return the poses unchanged if their samples are not stored or their clock restarted."""
     whole = store.samples(run_id)
     dwells = [store.samples(run_id, index) for index in indices]
     if (
@@ -88,8 +88,8 @@ class SolutionRequest:
         units: all calibrations that count of these units, beside the runs named.
         rig: the one rig of the runs; alone, all calibrations that count on it.
         linear: whether the units are stated to have no quadratic and cubic terms.
-        periods_deg: of gears, where somebody knows them.
-        seat_std_deg: how far one clamping of a face scatters from the next, where somebody knows it.
+        periods_deg: of gears, as far as they are known.
+        seat_std_deg: repeatability of one clamping of a face to the next, if it is known.
         frame: of units clamped by several faces, whose their matrix is: `sensor` or `faces`.
         limits_deg: of the stage, which advice keeps to; without them those that the last run was made under.
     """

@@ -31,7 +31,7 @@ def holds(store: Store, rig: str, kept: Document) -> Document:
     """Whether the map in force still fits, by the newest run that can tell.
 
     A run of the check unit tells where the rig has one; else the newest of any unit that was on the rig when
-    the map was made, or since. The earliest such run is what the newest is held against.
+    the map was made, or since. The newest such run is compared with the earliest.
 
     Args:
         store: has the runs.
@@ -87,7 +87,7 @@ def _document(now: Run, before: Run, found: MapCheck) -> Document:
         says = (
             f"The map has moved: by {told}, the stage is off by up to {largest}, which noise and the "
             f"map's uncertainty give in {percent(found.p_value)} of cases. Clamp a unit at three angles, and "
-            "solve anew."
+            "solve again."
         )
     else:
         says = f"The map holds: by {told}, nothing is off by more than {largest}."

@@ -470,8 +470,8 @@ def _judged(values: npt.NDArray[np.floating], base: Sequence[Float32]) -> Float3
     """(R, m) what the base leaves of values over their size, without what is far beyond the others of a run.
 
     Values beyond `OUTLIER_STD` times the spread are brought back to it. One of them draws the base towards
-    itself and hides behind that, so the base is fitted to what is left of it, and all are held against that,
-    anew.
+    itself and hides behind that, so the base is fitted to the cut values, and all values are compared with
+    that fit again.
     """
     size = np.maximum(np.abs(values).max(axis=1), np.finfo(np.float64).tiny)[:, None]
     left = _less(values / size, base)

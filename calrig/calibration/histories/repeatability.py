@@ -199,7 +199,7 @@ def _same(group: IntArray) -> tuple[IntArray, IntArray]:
 BoolArray = npt.NDArray[np.bool_]
 
 FEWEST_REPEATS = 3
-"""Repeats that there must be: of two that disagree nobody can tell which is the change."""
+"""Least number of repeats: of two that disagree, either may be the change."""
 FEWEST_ALIKE = 2
 """Repeats left without what changed; with one, nothing but a factor of 13 would be significant."""
 MOST_RUNS = 700

@@ -57,8 +57,8 @@ class TypeB:
     def of_line(self, over_range: float) -> TypeB:
         """What it makes of an elevation by a line whose mean variance over the range is this for scatter 1.
 
-        An error of each setting anew enters as a scatter does (`uncertainty.reference_part`); any other is
-        the same however many poses there are.
+        An independent error of each setting enters as a scatter does (`uncertainty.reference_part`); any
+        other is the same however many poses there are.
         """
         return replace(self, std_deg=self.std_deg * math.sqrt(over_range)) if self._is_of_settings else self
 

@@ -105,7 +105,7 @@ TURN_DEG, CLOSES_DEG = 360.0, 1.0
 SHORTEST_DEG = 10.0
 FEWEST_TURNS = 3
 LARGEST_OFF = 0.2
-"""Of a gyro's response from the identity; a move that was felt to differ by more was another move."""
+"""Largest deviation of a gyro's response from the identity; a measured move that differs more is another."""
 SLOW_DPS = 10.0
 """Speed of moves whose time is not known: the slower, the more of Earth's rate is in them."""
 ROUNDS = 4
@@ -115,7 +115,7 @@ RESPONSE = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """What the moves say of a unit's gyro.
+    """A unit's gyro as its moves show it.
 
     Attributes:
         response: (3, 3) G, of a rate in the sensor's frame.
@@ -135,7 +135,7 @@ class Turns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moves:
-    """m moves: rows of the table, degrees turned by the dial, degrees felt (m, 3), seconds, r (m, 3)."""
+    """m moves: rows of the table, degrees by the dial, degrees measured (m, 3), seconds, r (m, 3)."""
 
     rows: Intp
     dial_deg: FloatArray
@@ -162,7 +162,7 @@ def turns_of(fit: Fit, unit: int, dwells: Dwells | None) -> Turns | None:
 
 
 def _moves(fit: Fit, unit: int, dwells: Dwells | None) -> _Moves:
-    """Those of one unit that the gyro felt as the stage made them: full turns, where there are any."""
+    """Return a unit's moves that its gyro measured as the stage made them: full turns, if there are any."""
     table = fit.problem.table
     rows, dial, felt, lasts, columns, noise = [], [], [], [], [], []
     places = {id(pose): row for row, pose in enumerate(table.poses)}
@@ -251,12 +251,12 @@ def _lasts_s(before: Pose, now: Pose, way_deg: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholeGyro:
-    """What dwells and turns say; None of what they do not tell.
+    """A gyro by its dwells and moves; None for what they do not identify.
 
     Attributes:
         dwells, turns: in the sensor's frame.
         matrix: (3, 3) and `matrix_std`, in the accelerometer's frame.
-        dps_per_g: (3, 3) and `dps_per_g_std`, likewise.
+        dps_per_g: (3, 3) and `dps_per_g_std`, in the accelerometer's frame.
         clock: of the board's by the host's, where the poses have both times.
     """
 

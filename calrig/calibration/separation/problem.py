@@ -48,7 +48,7 @@ class Problem:
 
     Attributes:
         orders: of the map; whole numbers, or 360° over a gear's period.
-        linear: whether somebody states that the units are.
+        linear: whether the units are stated to be linear.
         correlation: of the noise from one pose of a mount to the next.
         shape: (units, c) noise of each component over that of all, root mean square; None of equal ones.
         columns: (n, 2m + 1) of the map.

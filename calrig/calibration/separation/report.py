@@ -97,7 +97,7 @@ def solution_document(
     Args:
         solution: of the poses.
         limits_deg: of the dial, which mounts are advised within.
-        progress: is told the share that is done.
+        progress: callback, called with the share that is done.
         frame: of the accelerometers' matrices.
     """
     fit, on_stage = solution.fit, mapped(solution.fit)
