@@ -49,12 +49,12 @@ _FIGURES = tuple(VerdictFigures.model_fields)
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedRuns:
-    """A page of runs with a verdict.
+class RunPage:
+    """A page of runs, with a verdict or all.
 
     Attributes:
-        items: the newest first.
-        next_cursor: of the next page; None after the last.
+        items: the runs, the newest first.
+        next_cursor: for the next page; None after the last.
         back_to: creation time of the oldest run that was searched; None if there was none.
         judged_whole: ids of the runs that were judged from their whole result.
     """
@@ -62,7 +62,7 @@ class JudgedRuns:
     items: list[Run]
     next_cursor: str | None
     back_to: datetime | None
-    judged_whole: list[str]
+    judged_whole: Sequence[str] = ()
 
 
 class Verdicts(Repository):
@@ -70,7 +70,7 @@ class Verdicts(Repository):
 
     def judged_runs(
         self, sought: Sought, judged: Judged, *, limit: int = 50, cursor: str | None = None
-    ) -> JudgedRuns:
+    ) -> RunPage:
         """Return a page of the runs with a verdict, as `sought_runs` does; a short page need not be the last.
 
         Raises:
@@ -100,7 +100,7 @@ class Verdicts(Repository):
             back = found[-1].id, found[-1].created_at
         next_cursor, back_to = back or (None, None)
         whole = [runs[number].id for number in to_judge]
-        return JudgedRuns(found, next_cursor if more else None, back_to, whole)
+        return RunPage(found, next_cursor if more else None, back_to, whole)
 
     def judge(self, run_ids: Sequence[str]) -> None:
         """Write the figures of runs again by this program, `WRITTEN_AT_ONCE` in a transaction."""

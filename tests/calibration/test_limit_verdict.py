@@ -15,7 +15,7 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import apply_calibration, build_result
 from calrig.calibration.uncertainty.budget import Reference, ReferenceFigures
 from calrig.calibration.uncertainty.conformity import Limit
-from calrig.calibration.uncertainty.verdict import make_verdict
+from calrig.calibration.uncertainty.verdict import make_verdict, verdict_figures
 from calrig.settings import LimitSettings
 
 STAGE = Reference(0.029, "harmonic")  # a limit of ±0.05°: U = 0.048° alone
@@ -107,6 +107,39 @@ def test_an_rms_is_held_with_its_own_uncertainty():
     assert judged(rms_deg=0.0052).answer == "pass"
     assert judged(rms_deg=0.0052, rule="guarded").answer == "conditional_pass"
     assert judged(rms_deg=0.0080, rule="guarded").answer == "pass"
+
+
+def figures(result):
+    return verdict_figures(result, None, verification=False, move_mismatches=0)
+
+
+def test_the_uncertainty_of_an_rms_is_that_of_as_many_residuals_drawn_again():
+    result = build_result(poses(), None, (), STAGE)
+    one, freedom = figures(result), result.n_poses - 2
+    residuals = np.random.default_rng(0).normal(0.0, one.rms_deg, (20_000, freedom))
+    drawn_deg = np.sqrt((residuals**2).mean(axis=1))
+    assert one.rms_expanded_deg == pytest.approx(1.96 * drawn_deg.std(), rel=0.02)
+
+
+def test_the_uncertainty_of_bias_and_scale_has_the_stages_part_in_it():
+    """By lines through many stages: an axis off its scale's centre, either way by a normal error."""
+    of, std_deg = poses(n=520), 0.1
+    result = build_result(of, None, (), Reference(std_deg, "harmonic", "normal"))
+    one = figures(result)
+    theta = np.array([pose.target_deg for pose in of])
+    off = np.random.default_rng(1).normal(0.0, std_deg, (2, 20_000))
+    stage_deg = np.sin(np.radians(theta))[:, None] * off[0] + np.cos(np.radians(theta))[:, None] * off[1]
+    slopes, levels = np.polyfit(theta, stage_deg, 1)
+    assert one.scale_expanded == pytest.approx(1.96 * np.hypot(result.scale_std, slopes.std()), rel=0.03)
+    assert one.bias_deg is None  # while the level is unknown
+    assert one.bias_expanded_deg == pytest.approx(
+        1.96 * np.hypot(result.bias_std_deg, levels.std()), rel=0.03
+    )
+
+
+def test_a_larger_uncertainty_of_an_elevation_does_not_widen_that_of_the_errors():
+    calibration = {**known_level(), "expanded_uncertainty_deg": 1.0}
+    assert judged(calibration=calibration, max_error_deg=0.08, rule="guarded").answer == "pass"
 
 
 def test_the_worst_figure_is_the_answer():

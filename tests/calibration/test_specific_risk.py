@@ -76,6 +76,22 @@ def test_an_rms_has_the_tails_of_chi_squared():
     assert probability({"rms_deg": 0.025}, found(), FIXED, rms_deg=0.02) == pytest.approx(expected)
 
 
+def test_the_mean_that_is_taken_off_is_over_the_range_however_the_elevations_are_spread():
+    """Of a wrong scale over 0° to 60°: the mean is that at 30°, and the ends err by 30° of scale."""
+    std = 0.002
+    one = found(nodes_deg=(0.0, 5.0, 10.0, 60.0), covariance=((0.0, 0.0), (0.0, std**2)))
+    expected = 2.0 * t.cdf(0.1 / (30.0 * std), 50) - 1.0
+    said = probability({"max_error_deg": 0.1}, one, FIXED, level_known=False)
+    assert said == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_an_error_of_the_stage_enters_the_bias_times_the_scale(scale):
+    one = found(bias_deg=0.1, scale=scale)
+    expected = norm.cdf(0.2 / (0.1 * scale)) - norm.cdf(-0.1 / (0.1 * scale))
+    assert probability({"bias_deg": (0.0, 0.3)}, one, NORMAL) == pytest.approx(expected, abs=1e-3)
+
+
 def test_without_the_level_a_common_error_is_no_error():
     asked = {"max_error_deg": 0.01}
     assert probability(asked, found(0.0), NORMAL, level_known=False) == 1.0

@@ -139,20 +139,20 @@ def answer_of(figures: VerdictFigures, limit: Limit | None) -> Answer | Literal[
 
 
 def cannot_pass(limit: Limit, reference: Reference | None, theta_deg: FloatArray) -> list[str]:
-    """Why no unit can pass a limit on a stage, however good it is: known before anything moves.
+    """Return why no unit can pass a limit on a stage, however good it is; known before anything moves.
 
-    Only what the stage itself contributes is counted, so that these are certain.
+    Only the stage's own contribution is counted, so that these reasons are certain.
 
     Args:
         limit: that matches the unit.
-        reference: what the stage's own angle is worth; None where nobody has said.
+        reference: standard uncertainty of the stage's angle; None if it is not stated.
         theta_deg: (n,) elevations of the poses to come.
     """
     against = f"limits “{limit.name}”, {limit.rule_in_words}"
     if reference is None:
         return [
-            "No unit can pass on this stage: its rig does not say what the stage's angle is worth "
-            f"(`reference`), and without an expanded uncertainty nothing passes ({against})."
+            "No unit can pass on this stage: its rig has no `reference` for the uncertainty of the "
+            f"stage's angle, and without an expanded uncertainty nothing passes ({against})."
         ]
     scale = 1.0 if np.ptp(theta_deg) > 0.0 else None
     part = reference_part(theta_deg, scale, reference)

@@ -24,18 +24,18 @@ DRAWS = 1 << 14
 def probability_of_conformity(
     limit: Limit, found: RangeErrors, reference: Reference, *, rms_deg: float, level_known: bool
 ) -> float:
-    """The probability that all that a limit asks holds of the true figures.
+    """Return the probability that the true figures comply with a limit.
 
     A calibrated elevation at θ errs by what was left of the poses there, by the error of bias and scale
     (−(δb + θ·δs)/scale, Student's t about 0 by their covariance), and by the stage's own error d(θ), drawn by
-    its kind: one constant; A·sin θ + B·cos θ; or a line through settings that were each made anew. While the
-    level is not known, the mean over the range is taken off: these poses cannot tell it.
+    its kind: one constant; A·sin θ + B·cos θ; or a line through independent settings. While the level is
+    unknown, the mean over the range is taken off, because these poses do not determine it.
 
     Args:
-        limit: what is asked.
+        limit: the limit; its name and rule do not matter.
         found: the error over the range, and bias and scale with their covariance.
-        reference: what the stage's own angle is worth.
-        rms_deg: what is left after everything accepted.
+        reference: standard uncertainty of the stage's angle.
+        rms_deg: RMS of the residual after every accepted effect.
         level_known: whether elevations are absolute; a limit on the bias counts only then.
     """
     theta_deg = np.array(found.elevation_deg)
@@ -118,7 +118,7 @@ def _stage_shapes(found: RangeErrors, reference: Reference, theta_deg: FloatArra
     n = found.freedom + (1 if found.scale is None else 2)
     if found.scale is None:
         return reference.std_deg / math.sqrt(n) * np.array([one, none])
-    # a line through settings that were each made anew, n of them, spread evenly
+    # a line through n independent settings, spread evenly
     design = np.column_stack([np.ones(n), np.linspace(theta_deg.min(), theta_deg.max(), n)])
     line = _root(reference.std_deg**2 * np.linalg.pinv(design.T @ design)).T
     return np.asarray(line[:, :1] + line[:, 1:] * theta_deg)
