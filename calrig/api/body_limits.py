@@ -1,7 +1,7 @@
-"""How slowly a body may come, and how many uploads are in hand at once. How large it may be, FastAPI counts.
+"""Limits of request bodies: how slowly they may come, and how many uploads are in progress at once.
 
-FastAPI's limits (`max_body_size` of the paths) know no time and have one answer, in plain text. Here what
-comes too slowly is 408, one upload too many 503, and a body that FastAPI found too large is told so in JSON.
+FastAPI limits their size (`max_body_size` of the paths), but not their time, and answers in plain text. Here
+a body that comes too slowly gets 408, one upload too many 503, and FastAPI's 413 becomes JSON.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from calrig.api.errors import no_room
 
 JSON_BYTES = 1_000_000
 LOGIN_BYTES = 10_000
-"""Of what strangers send: it is held in memory for as many as there are connections."""
+"""Limit for requests without authentication, which are held in memory for every connection."""
 POSES_BYTES = LOG_BYTES = 150_000_000
-"""100 MB in whichever units, and more: two million samples of seven columns."""
+"""100 MB in any unit, with a margin: two million samples of seven columns."""
 LOGIN_PATH = "/api/login"
 ENROLL_PATH = "/api/benches/enroll"
 UPLOADS = {"/api/imports": POSES_BYTES, "/api/noise": LOG_BYTES, "/api/filters": LOG_BYTES}
 MOST_UPLOADS = 16
-"""In hand at once. Each may lie on the disk, in a temporary file, until its turn has come."""
+"""Uploads in progress at once. Each may occupy a temporary file until it is processed."""
 GRACE_S = 10.0
 SLOWEST_BYTES_PER_S = 20_000
-"""A body may take GRACE_S, and a second more for each so many bytes of it that have come."""
+"""A body may take `GRACE_S`, plus one second per so many bytes received."""
 
 LONGEST_NAME = 200
 
 
 class BodyPatience:
-    """ASGI middleware that gives up bodies that dawdle, and uploads beyond those it can hold."""
+    """ASGI middleware that ends slow bodies and excess uploads."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
         self._uploads: set[_Body] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes the request on with a `receive` that looks at the clock."""
+        """Pass the request on with a `receive` that has a deadline."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
         is_upload = scope["path"] in UPLOADS
         body = _Body(receive)
         if is_upload and not self._has_room():
-            reason = f"{MOST_UPLOADS} uploads are in hand: try again later"
+            reason = f"{MOST_UPLOADS} uploads are in progress: try again later"
             await JSONResponse({"detail": reason}, 503, {"Retry-After": "5"})(scope, receive, send)
             return
         if is_upload:
@@ -67,7 +67,7 @@ class BodyPatience:
             self._uploads.discard(body)
 
     def _has_room(self) -> bool:
-        """Whether one more upload is taken: among too many, the one that comes most slowly gives way."""
+        """Return whether one more upload is accepted; if there are too many, the slowest one is ended."""
         if len(self._uploads) < MOST_UPLOADS:
             return True
         coming = [upload for upload in self._uploads if upload.is_coming]
@@ -77,7 +77,7 @@ class BodyPatience:
 
 
 class _Body:
-    """The body of one request as it comes, and the beginning of its answer."""
+    """The incoming body of one request, and the beginning of its answer."""
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive
@@ -88,7 +88,7 @@ class _Body:
         self._is_answered = False
 
     def answering(self, scope: Scope, send: Send) -> Send:
-        """A `send` that notes that an answer has begun, and puts FastAPI's 413 into the contract's form."""
+        """Return a `send` that notes the beginning of the answer and turns FastAPI's 413 into JSON."""
         too_large = False
 
         async def noted(message: Message) -> None:
@@ -104,12 +104,12 @@ class _Body:
         return noted
 
     async def receive(self) -> Message:
-        """The next piece.
+        """Return the next part.
 
         Raises:
             HTTPException: the body comes too slowly.
         """
-        if self._has_ended:  # what comes then is the end of the connection, and may take its time
+        if self._has_ended:  # then the end of the connection, without a deadline
             return await self._receive()
         loop = asyncio.get_running_loop()
         began_s = loop.time()
@@ -131,40 +131,40 @@ class _Body:
 
     @property
     def is_coming(self) -> bool:
-        """Whether it is its client that is waited for."""
+        """Whether the service waits for the client."""
         return self._waiting is not None
 
     @property
     def bytes_per_s(self) -> float:
-        """How fast it has come, of the time that its client was waited for."""
+        """Mean rate over the time spent waiting for the client."""
         return self._n_bytes / (self._waited_s + 1.0)
 
     def give_way(self) -> None:
-        """Waits for the client no longer."""
+        """Stop waiting for the client."""
         if self._waiting is not None:
             self._waiting.reschedule(asyncio.get_running_loop().time())
 
 
 def _most(path: str) -> int:
-    """Bytes that a path takes, as its route says."""
+    """Return the limit of a path, B, as its route has it."""
     return UPLOADS.get(path, LOGIN_BYTES if path in {LOGIN_PATH, ENROLL_PATH} else JSON_BYTES)
 
 
 def name_of(file: UploadFile) -> str:
-    """The name that a client gave its file, as a text to be shown: it is never a path of this machine."""
+    """Return the client's name of its file as printable text, never used as a path."""
     name = file.filename or "upload"
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name[:LONGEST_NAME])
 
 
 @asynccontextmanager
 async def on_disk(write: Callable[[IO[bytes]], object]) -> AsyncIterator[Path]:
-    """A file that another process can read, for as long as the block lasts.
+    """Provide a temporary file that another process can read, for the duration of the block.
 
     Args:
-        write: fills it, in a thread.
+        write: fills the file, in a thread.
 
     Raises:
-        HTTPException: there is no room for it.
+        HTTPException: the disk is full.
     """
     with ExitStack() as stack:
         try:
@@ -177,5 +177,5 @@ async def on_disk(write: Callable[[IO[bytes]], object]) -> AsyncIterator[Path]:
 
 
 def copied(upload: UploadFile) -> Callable[[IO[bytes]], None]:
-    """Fills a file with an upload."""
+    """Return a function that fills a file with an upload."""
     return partial(copyfileobj, upload.file)

@@ -1,10 +1,6 @@
-"""One look into the store for all who want to see the same, however many watch.
+"""Event streams and crowds of requests: shared reads of the store, and turns in the event loop.
 
-Few of many go on in one round of the event loop, so that a crowd of them leaves it to a stop in between.
-
-Where hundreds of requests or streams went on in one round, a stop that came meanwhile would wait for each.
-
-The event streams that are open: woken when their run's log has grown, ended when the service is.
+Few of many requests or streams proceed per iteration of the loop, so that a stop request never waits for all.
 """
 
 from __future__ import annotations
@@ -24,25 +20,25 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from calrig.runs.recorder import Bus
 
 GATHER_S = 0.01
-"""How long a look waits for others who want the same: those whom the same news has woken."""
+"""How long a read waits for others of the same key: the streams that the same event has woken."""
 T = TypeVar("T")
 
 
 class ReadCoalescer:
-    """Looks that have not begun yet, by what they are for. Used in the server's event loop only.
+    """Coalesce reads of the same key that have not begun yet. Use in the event loop only.
 
-    Event streams that have come equally far wait for one, which begins after the news that woke them.
-    One that has begun is shared with nobody else: it may have missed what they were woken for.
+    Event streams at the same position share one read, which begins after the event that woke them. A read
+    that has begun is not shared any more, because it may have missed a later event.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[Hashable, asyncio.Task[Any]] = {}
 
     async def share(self, key: Hashable, look: Callable[[], T]) -> T:
-        """What a look gives that begins after this call, in a thread.
+        """Return the result of a read that begins after this call, in a thread.
 
         Args:
-            key: the same for looks that give the same.
+            key: equal for reads with equal results.
             look: reads the store.
         """
         if key not in self._waiting:
@@ -58,21 +54,23 @@ class ReadCoalescer:
 
 @dataclass(slots=True)
 class _Kept:
-    """A look that is under way, or what it gave, which is good until then."""
+    """A read in progress, or its result, which is valid until `until_s`."""
 
     task: asyncio.Task[Any]
     until_s: float
 
 
 SHARE = 0.1
-"""Of the time that looks for the same may take at most, however long each does."""
+"""Maximum share of the time that reads of one key take."""
 
 
 class ReadCache:
-    """What looks gave, by what they are for: good enough for all who ask again soon. In the event loop only.
+    """Cache recent store reads by key for a short time, with at most one read per key in progress.
+
+    Use in the event loop only.
 
     Args:
-        now_s: seconds that never go back.
+        now_s: monotonic clock, s.
     """
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -80,12 +78,12 @@ class ReadCache:
         self._kept: dict[Hashable, _Kept] = {}
 
     async def share(self, key: Hashable, look: Callable[[], T], for_s: float) -> T:
-        """What a look gave that began at most so long ago; two for the same are never under way at once.
+        """Return the result of a recent read.
 
         Args:
-            key: the same for looks that give the same.
+            key: equal for reads with equal results.
             look: reads the store, in a thread.
-            for_s: how old it may be; of a look that takes long, a multiple of that.
+            for_s: maximum age of the result; longer if the read takes more than `SHARE` of it.
         """
         kept = self._kept.get(key)
         if kept is None or (kept.task.done() and self._now_s() >= kept.until_s):
@@ -103,14 +101,14 @@ class ReadCache:
 
 
 AT_ONCE = re.compile(r"/api/(health|rigs/[^/]+/stop|runs/[^/]+/abort)")
-"""Paths of requests that wait for no other."""
+"""Paths of requests that are never delayed."""
 
 
 class FairScheduler:
-    """Turns of those who wait, in their order. Used in one event loop.
+    """Limit how many waiters proceed per event-loop iteration, in their order. Use in one event loop.
 
     Args:
-        in_a_round: how many go on before the loop takes what has come meanwhile.
+        in_a_round: waiters per iteration.
     """
 
     def __init__(self, in_a_round: int = 1) -> None:
@@ -119,7 +117,7 @@ class FairScheduler:
         self._goes_round = False
 
     async def wait(self) -> None:
-        """Until it is one's turn."""
+        """Wait for the caller's turn."""
         loop = asyncio.get_running_loop()
         turn = loop.create_future()
         self._waiting.append(turn)
@@ -135,39 +133,42 @@ class FairScheduler:
                 turn.set_result(None)
         self._goes_round = bool(self._waiting)
         if self._goes_round:
-            loop.call_soon(self._round, loop)  # in the round after this one
+            loop.call_soon(self._round, loop)  # in the next iteration
 
 
 class FairStartMiddleware:
-    """ASGI middleware: requests begin one a round, a stop at once."""
+    """ASGI middleware: one request begins per event-loop iteration, a stop request at once."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
         self._turns = FairScheduler()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes the request on when its turn has come."""
+        """Pass the request on when its turn has come."""
         if scope["type"] == "http" and AT_ONCE.fullmatch(scope["path"]) is None:
             await self._turns.wait()
         await self.app(scope, receive, send)
 
 
 WRITTEN_IN_A_ROUND = 4
-"""Streams written to before the event loop looks what has come: each takes a third of a millisecond."""
+"""Streams written to per event-loop iteration: each takes a third of a millisecond."""
 
 
 @dataclass
 class _Watched:
-    """A run that somebody watches: the event that each of its streams waits for."""
+    """A watched run: the event of each of its streams."""
 
     news: set[asyncio.Event] = field(default_factory=set)
     leave: Callable[[], None] = lambda: None
 
 
 class Streams:
-    """All event streams of a service, by their run. Used in the server's event loop only.
+    """All event streams of a service, by run. Use in the event loop only.
 
-    `looks` are theirs into the store, `turns` those of writing.
+    Attributes:
+        closed: whether the service ends.
+        looks: coalesces their reads of the store.
+        turns: schedules their writes.
     """
 
     def __init__(self) -> None:
@@ -178,7 +179,7 @@ class Streams:
 
     @contextmanager
     def joined(self, bus: Bus, run_id: str) -> Iterator[asyncio.Event]:
-        """Counts a stream as open; what is given is set when the run's log has grown or the service ends."""
+        """Register a stream; its event is set when the run's log grows or the service ends."""
         watched = self._watched.get(run_id)
         if watched is None:
             watched = self._watched[run_id] = _Watched()
@@ -197,14 +198,14 @@ class Streams:
         return sum(len(watched.news) for watched in list(self._watched.values()))
 
     def close(self) -> None:
-        """Has every stream end: a browser that listens must not keep the service from stopping."""
+        """End every stream, so that no open browser delays the service's shutdown."""
         self.closed = True
         for watched in self._watched.values():
             _tell(watched)
 
 
 def _waking(watched: _Watched) -> Callable[[], None]:
-    """The call that a run's thread makes: one for all of its streams, not one for each."""
+    """Return the callback for the run's thread: one for all of its streams."""
     loop = asyncio.get_running_loop()
 
     def wake() -> None:
