@@ -1,4 +1,4 @@
-"""A pose (one dwell at one elevation), its columns (CONTRACT section 4), and what a diagnosis asks of them."""
+"""A pose (one dwell at one elevation), its columns (CONTRACT section 4), and checks before a diagnosis."""
 
 from __future__ import annotations
 
