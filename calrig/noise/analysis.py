@@ -24,7 +24,7 @@ MEAN_OVER_S = 1.0
 
 
 def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Sequence[slice]) -> float | None:
-    """How far gravity turns in the sensor, from means of a second, about its mean direction over all.
+    """Return how far gravity turns in the sensor, from means of a second, about its mean direction over all.
 
     Args:
         channels: (N,) each, by name with its unit.
@@ -55,7 +55,7 @@ def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Seque
 
 
 def _means(values: FloatArray, count: int) -> FloatArray:
-    """Means of so many values each, one after the other."""
+    """Return means of so many values each, one after the other."""
     whole = len(values) // count
     return np.asarray(values[: whole * count].reshape(whole, count).mean(axis=1), dtype=np.float64)
 
@@ -75,7 +75,7 @@ NEAR_ADF, NEAR_PSD = 0.2, 0.6
 def colour_of(
     curve: AllanCurve, coefficients: Coefficients, psd_slope: float | None, lines: Sequence[Line]
 ) -> Colour | None:
-    """What to call the noise; None where there is none, or nothing to tell it by.
+    """Return what to call the noise; None where there is none, or nothing to tell it by.
 
     - A log with a line is `lines`, `mixed` if what is under the line is not white.
     - `white`, `pink` (flicker), `brown` (random walk) or `quantisation-limited` (quantisation): that kind is
@@ -110,7 +110,7 @@ def _ruling(curve: AllanCurve, coefficients: Coefficients) -> Colour | None:
 
 
 def _fitting(adf_slope: float | None, psd_slope: float | None) -> list[Colour]:
-    """The words whose slopes are near those measured."""
+    """Return the words whose slopes are near those measured."""
     near = np.ones(len(_WORDS), dtype=np.bool_)
     if adf_slope is not None:
         near &= np.abs(adf_slope - _ADF_SLOPES) <= NEAR_ADF
@@ -179,7 +179,7 @@ def analyse(
     rate_hz: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Noise:
-    """Analyses a log of a sensor at rest.
+    """Analyse a log of a sensor at rest.
 
     Where the log has accel_y and accel_z of one unit, the elevation of each sample, atan2(y, z), is analysed
     as one more channel.
@@ -209,7 +209,7 @@ def analyse(
 
 
 def _of_rest(log: UniformLog) -> tuple[str, ...]:
-    """What is to be said of a log that is not of a sensor at rest."""
+    """Return what is to be said of a log that is not of a sensor at rest."""
     turn = turn_deg(log.channels, log.rate_hz, log.segments)
     if turn is None or turn < LEAST_TURN_DEG:
         return ()
@@ -244,7 +244,7 @@ def _channel(log: UniformLog, name: str) -> ChannelNoise:
 
 
 def _elevation_axes(log: UniformLog) -> tuple[FloatArray, FloatArray] | None:
-    """The accelerometer's y and z, of one unit."""
+    """Return the accelerometer's y and z, of one unit."""
     for unit in ("g", "lsb"):
         y, z = (log.channels.get(f"accel_{axis}_{unit}") for axis in "yz")
         if y is not None and z is not None:
@@ -253,7 +253,7 @@ def _elevation_axes(log: UniformLog) -> tuple[FloatArray, FloatArray] | None:
 
 
 def static_elevation_deg(accel_y: FloatArray, accel_z: FloatArray) -> FloatArray:
-    """(N,) elevation atan2(y, z) in degrees of a sensor at rest, without a jump at ±180°."""
+    """Return (N,) elevation atan2(y, z) in degrees of a sensor at rest, without a jump at ±180°."""
     middle_deg = float(np.degrees(np.arctan2(accel_y.mean(), accel_z.mean())))
     elevation_deg = np.arctan2(accel_y, accel_z)
     np.degrees(elevation_deg, out=elevation_deg)

@@ -55,7 +55,7 @@ def study_filters(
     *,
     gyro_scale: float = 1.0,
 ) -> FilterStudy:
-    """Runs every filter over a log of a sensor that stands and is turned about its x axis.
+    """Run every filter over a log of a sensor that stands and is turned about its x axis.
 
     The tuned filter's noise is that of the log's own static intervals (`tuned_noise`).
 
@@ -92,7 +92,7 @@ def study_filters(
 
 
 def filters_document(study: FilterStudy) -> dict[str, Any]:
-    """What `calrig filters --json` prints; a number that is not known is None."""
+    """Return what `calrig filters --json` prints; a number that is not known is None."""
     comparison = study.comparison
     return {
         "rate_hz": study.rate_hz,
@@ -123,7 +123,7 @@ def _angles(log: UniformLog) -> dict[str, FloatArray]:
 
 
 def _times(log: UniformLog) -> FloatArray:
-    """(N,) seconds since the first sample."""
+    """Return (N,) seconds since the first sample."""
     times = [
         start_s + np.arange(segment.stop - segment.start) / log.rate_hz
         for segment, start_s in zip(log.segments, log.start_s, strict=True)
@@ -132,7 +132,7 @@ def _times(log: UniformLog) -> FloatArray:
 
 
 def _at_rest(log: UniformLog) -> UniformLog:
-    """The log's static intervals as its segments."""
+    """Return the log's static intervals as its segments."""
     times, rate = _times(log), log.channels.get(GYRO)
     static = tuple(
         interval

@@ -31,7 +31,7 @@ def white_density(channel: str, n: float) -> str:
 
 
 def white_random_walk(channel: str, n: float) -> str | None:
-    """What integrating that noise wanders by, °/√h or m/s/√h; None where an integral means nothing."""
+    """Return what integrating that noise wanders by, °/√h or m/s/√h; None where an integral means nothing."""
     if channel.endswith("_dps"):
         return quantity(_ROOT_HOUR * n, "°/√h")
     if channel.endswith("_g"):
@@ -47,6 +47,6 @@ def bias_instability(channel: str, b: float) -> str:
 
 
 def level(channel: str, value: float) -> str:
-    """A value of the channel, small ones of g in mg."""
+    """Return a value of the channel, small ones of g in mg."""
     unit = unit_of(channel)
     return quantity(1e3 * value, "mg") if unit == "g" and abs(value) < 0.1 else quantity(value, unit)

@@ -50,7 +50,7 @@ class DiagnosisVerdict:
 
 
 def diagnosis_verdict(diagnosis: Document, decided: int | None = None) -> DiagnosisVerdict:
-    """Judges a diagnosis by its errors before and after on held-out and on confirming poses.
+    """Judge a diagnosis by its errors before and after on held-out and on confirming poses.
 
     Args:
         diagnosis: CONTRACT section 5.
@@ -118,7 +118,7 @@ def not_repeated_better(diagnosis: Document) -> list[str]:
 
 
 def _rest(diagnosis: Document) -> list[str]:
-    """What effects have not explained, where it is more than noise."""
+    """Return what effects have not explained, where it is more than noise."""
     tested = diagnosis["noise"].get("lack_of_fit")
     if not tested or not tested["rejected"]:
         return []
@@ -136,7 +136,7 @@ def _more_than_noise(diagnosis: Document) -> str:
 
 
 def _times_pure_error(diagnosis: Document) -> float | None:
-    """The residual over the pure error; None where that is not known."""
+    """Return the residual over the pure error; None where that is not known."""
     noise = diagnosis["noise"]
     pure_deg = noise.get("pure_error_deg")
     return noise["std_deg"] / pure_deg if pure_deg else None
@@ -149,7 +149,7 @@ def _errors(diagnosis: Document, key: str) -> tuple[float, float] | None:
 
 
 def _held_out(between: tuple[float, float], apart: tuple[float, float] | None) -> str:
-    """The error on held-out poses, by the folds that the effects help less."""
+    """Return the error on held-out poses, by the folds that the effects help less."""
     if between[1] >= between[0]:
         return (
             "The error on held-out poses has not decreased: with so few poses the search does not find the "
