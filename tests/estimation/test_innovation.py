@@ -110,7 +110,7 @@ def test_the_variance_of_coloured_innovations_is_known_by_fewer_degrees_of_freed
     y = normalised_innovations(coloured, u, DT_S, NOISE)
     found = innovation_check(coloured, u, DT_S, NOISE).per_sample
     excess = math.log(float(y @ y) / len(y)) / math.sqrt(2.0 * (5.0 / 3.0) / len(y))
-    assert norm.isf(found.variance_p_value / 2.0) == pytest.approx(abs(excess), rel=0.1)
+    assert norm.isf(found.variance_p_value / 2.0) == pytest.approx(abs(excess), rel=0.05)
 
 
 @pytest.mark.parametrize("frequency_hz", [0.3, 1.3, 4.1, 41.0])
