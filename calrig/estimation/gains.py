@@ -128,14 +128,10 @@ def samples_to_steady_state(
         return None
     steady = steady_state_gain(noise, dt_s)
     n = max(2, round(at_most_s / dt_s))
-    outside = _off_steady(gain_schedule(noise, dt_s, n), steady) > within
-    samples = n - int(np.argmax(outside[::-1]))
+    k_angle, k_bias = gain_schedule(noise, dt_s, n)
+    off = np.maximum(np.abs(k_angle / steady.k_angle - 1.0), np.abs(k_bias / steady.k_bias - 1.0))
+    samples = n - int(np.argmax(off[::-1] > within))
     return samples if samples < n else None
-
-
-def _off_steady(gains: tuple[FloatArray, FloatArray], steady: SteadyStateGain) -> npt.NDArray[np.float64]:
-    off_angle = np.abs(gains[0] / steady.k_angle - 1.0)
-    return np.maximum(off_angle, np.abs(gains[1] / steady.k_bias - 1.0))
 
 
 def filter_uniform(

@@ -109,8 +109,7 @@ def move_angle_deg(
     """
     if len(time_s) < 2 or np.diff(time_s).max() > gap_s or not np.isfinite(rate_dps).all():
         return None
-    rate = rate_dps - bias_dps
-    return float((rate[1:] + rate[:-1]) @ np.diff(time_s)) / 2.0
+    return float(np.trapezoid(rate_dps - bias_dps, time_s))
 
 
 def moves_about_axes(

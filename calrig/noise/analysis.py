@@ -16,7 +16,7 @@ from calrig.noise.resampling import UniformLog, uniform_log
 from calrig.noise.spectral_lines import Line, find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
 from calrig.noise.temperature import Temperature, temperature_of
-from calrig.noise.units import unit_of
+from calrig.noise.units import accelerometer_channels, unit_of
 
 LEAST_TURN_DEG = 5.0
 """Of gravity in the sensor: 87 mg, more than offsets drift by."""
@@ -34,15 +34,13 @@ def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Seque
     Returns:
         The largest angle; None without three axes of an accelerometer in one unit, or without a whole second.
     """
-    for unit in ("g", "lsb"):
-        axes = [channels.get(f"accel_{axis}_{unit}") for axis in "xyz"]
-        known = [axis for axis in axes if axis is not None]
-        if len(known) == len(axes):
-            break
-    else:
+    axes = accelerometer_channels(channels, "xyz")
+    if axes is None:
         return None
     count = max(1, round(MEAN_OVER_S * rate_hz))
-    means = np.column_stack([np.concatenate([_means(axis[s], count) for s in segments]) for axis in known])
+    means = np.column_stack(
+        [np.concatenate([_means(channels[axis][s], count) for s in segments]) for axis in axes]
+    )
     if not len(means):
         return None
     size = np.linalg.norm(means, axis=1)
@@ -194,13 +192,13 @@ def analyse(
         ValueError: there is no rate or no sample; says what to do.
     """
     log = uniform_log(channels, time_s, rate_hz)
-    y_and_z = _elevation_axes(log)
-    names = [*log.channels, *([ELEVATION] if y_and_z else [])]
+    axes = accelerometer_channels(log.channels)
+    names = [*log.channels, *([ELEVATION] if axes else [])]
     analysed: dict[str, ChannelNoise] = {}
     for done, name in enumerate(names, start=1):
-        if y_and_z is not None and name == ELEVATION:
-            with_it = {**log.channels, ELEVATION: static_elevation_deg(*y_and_z)}
-            log = replace(log, channels=with_it)
+        if axes is not None and name == ELEVATION:
+            elevation_deg = static_elevation_deg(*(log.channels[axis] for axis in axes))
+            log = replace(log, channels={**log.channels, ELEVATION: elevation_deg})
         analysed[name] = _channel(log, name)
         if progress is not None:
             progress(done / len(names))
@@ -241,15 +239,6 @@ def _channel(log: UniformLog, name: str) -> ChannelNoise:
         temperature=warmth,
         colour=colour_of(curve, found, slope.slope if slope else None, lines),
     )
-
-
-def _elevation_axes(log: UniformLog) -> tuple[FloatArray, FloatArray] | None:
-    """Return the accelerometer's y and z, of one unit."""
-    for unit in ("g", "lsb"):
-        y, z = (log.channels.get(f"accel_{axis}_{unit}") for axis in "yz")
-        if y is not None and z is not None:
-            return y, z
-    return None
 
 
 def static_elevation_deg(accel_y: FloatArray, accel_z: FloatArray) -> FloatArray:

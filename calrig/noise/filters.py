@@ -19,7 +19,7 @@ from calrig.estimation.tuning import midpoint_rate_dps, tuned_noise
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import coefficients
 from calrig.noise.resampling import UniformLog, uniform_log
-from calrig.noise.units import unit_of
+from calrig.noise.units import accelerometer_channels, unit_of
 
 GYRO, ELEVATION = "gyro_x_dps", "elevation_deg"
 STARTS_AN_OCTAVE = 4
@@ -69,8 +69,10 @@ def study_filters(
     Raises:
         ValueError: the log has no elevation, no rate or no sample; says what to do.
     """
-    y, z = _accelerometer(channels)
-    used = {"y": channels[y], "z": channels[z]}
+    axes = accelerometer_channels(channels)
+    if axes is None:
+        raise ValueError("the log has no accel_y and accel_z of one unit, from which the elevation comes")
+    used = dict(zip("yz", (channels[axis] for axis in axes), strict=True))
     if GYRO in channels:
         used[GYRO] = channels[GYRO]
     log = uniform_log(used, time_s, rate_hz)
@@ -103,14 +105,6 @@ def filters_document(study: FilterStudy) -> dict[str, Any]:
         "tuned": _tuned_document(study),
         "summary": list(_sentences(study)),
     }
-
-
-def _accelerometer(channels: dict[str, FloatArray]) -> tuple[str, str]:
-    for unit in ("g", "lsb"):
-        y, z = f"accel_y_{unit}", f"accel_z_{unit}"
-        if y in channels and z in channels:
-            return y, z
-    raise ValueError("the log has no accel_y and accel_z of one unit, from which the elevation comes")
 
 
 def _angles(log: UniformLog) -> dict[str, FloatArray]:

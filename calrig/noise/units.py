@@ -7,8 +7,10 @@ annex C): N in °/s·√s is 60·N in °/√h, N in g·√s is 60·9.80665·N in
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 
-STANDARD_GRAVITY_MPS2 = 9.80665
+from calrig.estimation.angles import STANDARD_GRAVITY_MPS2
+
 _UNITS = {"g": "g", "dps": "°/s", "lsb": "LSB", "deg": "°", "c": "°C"}
 _PER_HOUR, _ROOT_HOUR = 3600.0, 60.0
 
@@ -16,6 +18,15 @@ _PER_HOUR, _ROOT_HOUR = 3600.0, 60.0
 def unit_of(channel: str) -> str:
     """The unit that a channel's name ends in, as a person writes it; empty for one that is not known."""
     return _UNITS.get(channel.rpartition("_")[2], "")
+
+
+def accelerometer_channels(names: Container[str], axes: str = "yz") -> list[str] | None:
+    """Return the channels of an accelerometer's axes, all of one unit; None where one is missing."""
+    for unit in ("g", "lsb"):
+        found = [f"accel_{axis}_{unit}" for axis in axes]
+        if all(name in names for name in found):
+            return found
+    return None
 
 
 def quantity(value: float, unit: str) -> str:

@@ -187,9 +187,11 @@ def slope(r: Responses, candidate: Candidate, beta: FloatArray) -> FloatArray:
 
 
 def refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> tuple[Fit, Candidate]:
-    """Return a candidate at the best place near its own, and the fit of the model with it.
+    """Refine the nonlinear parameter of a candidate (such as a period) by maximum likelihood.
 
-    A term of a series stays where it is: its place is known.
+    Returns:
+        The fit of the model with it, and the candidate with the parameter's standard error; a term of a
+        series keeps its known parameter.
     """
     name = candidate.effect.place
     model = fitted_model(r, accepted)

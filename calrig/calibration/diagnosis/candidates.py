@@ -132,7 +132,7 @@ class Candidate:
 
 
 def _is_level(columns: FloatArray) -> bool:
-    """Whether columns add one angle to the readings of some poses, and nothing to those of the others."""
+    """Return whether the reading columns take at most two values: a constant offset in some poses."""
     return len(np.unique(columns[:, 0])) <= 2
 
 

@@ -191,7 +191,8 @@ class Blocked:
 
 def blocked(r: Responses, accepted: Sequence[Candidate]) -> tuple[Blocked, ...]:
     """Predict every pose once along time, and once along angle where the poses turn."""
-    return tuple(Blocked(along, _errors(r, [], along), _errors(r, accepted, along)) for along in _folds(r))
+    every = tuple(accepted)
+    return tuple(Blocked(along, _errors(r, (), along), _errors(r, every, along)) for along in _folds(r))
 
 
 def worse(several: Sequence[Blocked]) -> Blocked | None:
@@ -214,11 +215,11 @@ def not_predictive(
         whole: the fit of them all.
         offered: candidates of these poses; a shape without a name among them becomes the rival.
     """
-    accepted = [f.candidate for f in found]
+    accepted = tuple(f.candidate for f in found)
     folds = _folds(r)
 
     def judged(place: int, one: SelectedEffect) -> SelectedEffect:
-        others = [c for c in accepted if c is not one.candidate]
+        others = tuple(c for c in accepted if c is not one.candidate)
         rival = _nameless(one.candidate, offered) if one.candidate.named else None
         if rival is None:
             return one
@@ -246,12 +247,8 @@ def _folds(r: Responses) -> dict[str, Intp]:
     return folds
 
 
-def _errors(r: Responses, accepted: Sequence[Candidate], along: str) -> FloatArray:
-    return _errors_along(r, tuple(accepted), along)
-
-
 @lru_cache(maxsize=KEPT)
-def _errors_along(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatArray:
+def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatArray:
     errors, fold = np.zeros(len(r)), _folds(r)[along]
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)

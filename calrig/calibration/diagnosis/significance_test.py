@@ -119,7 +119,13 @@ OTHER_RHO = 0.2
 
 
 class NullGains(NamedTuple):
-    """Gains (b, L) of the best candidate of each label in noise, whose largest correlation is `rho`."""
+    """Null distribution of candidate gains, bootstrapped once on all poses and reused by the folds' searches.
+
+    Attributes:
+        labels: of the L candidates.
+        gains: (b, L) of the best candidate of each label, in −2 log likelihood with penalties.
+        rho: the largest correlation of the noise.
+    """
 
     labels: tuple[str, ...]
     gains: FloatArray
@@ -325,11 +331,16 @@ more, over 15 by one of 1,800.
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the gate says of one search: each candidate's ratio on the screen, and the search's p-value.
+    """Result of the significance test of one search.
 
-    `gain` is that of the best candidate in −2 log likelihood with penalties; `passes`, whether the p-value is
-    below the level, or clearly would be with more draws; `least_p_value`, what all draws could tell at best;
-    `drawn`, what was drawn of noise for it, None where that was known.
+    Attributes:
+        candidates: everything the search looked at.
+        ratios: the likelihood ratio of each on the screen.
+        gain: of the best candidate, in −2 log likelihood with penalties.
+        p_value: family-wise, of the best candidate.
+        passes: whether the p-value is below the level, or clearly would be with more draws.
+        least_p_value: the smallest that all draws could give.
+        drawn: the null distribution drawn for the test; None where it was known.
     """
 
     candidates: Sequence[Candidate]
