@@ -37,7 +37,7 @@ class Line:
 
 
 def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False) -> Line:
-    """Fits bias and scale to reading − θ, so that a turn more or less does not matter.
+    """Fit bias and scale to reading − θ, so that a turn more or less does not matter.
 
     Ordinary least squares about the mean of θ, standard errors from the residual scatter with n − 2 (or
     n − 1) degrees of freedom (Draper & Smith, Applied Regression Analysis, 1998, section 1.4; GUM H.3).
@@ -85,7 +85,7 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
 
 
 def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatArray:
-    """(n,) reading − θ in degrees, within half a turn of the poses' common direction.
+    """Return (n,) reading − θ in degrees, within half a turn of the poses' common direction.
 
     Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there.
     """

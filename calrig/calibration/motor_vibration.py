@@ -82,7 +82,7 @@ class Ends:
 
 
 def end_differences(poses: Sequence[Pose], unreported: Sequence[UnreportedTurn] = ()) -> Ends:
-    """What the ends tell by all poses of a sweep so far; nothing where they are too few.
+    """Return what the ends tell by all poses of a sweep so far; nothing where they are too few.
 
     `unreported` are of the passes that are known: of a run that was resumed, those since.
 
@@ -135,7 +135,7 @@ def _tested(
 
 
 def disturbing(ends: Ends, chance: float) -> EndDifference | None:
-    """The worse end, where they differ by more than chance, and the method's own error, allow."""
+    """Return the worse end, where they differ by more than chance, and the method's own error, allow."""
     if ends.p_value >= chance:
         return None
     found = [end for end in ends.differences if abs(end.difference_deg) > OWN_DEG]
@@ -143,7 +143,7 @@ def disturbing(ends: Ends, chance: float) -> EndDifference | None:
 
 
 def _beyond_chance(those: Sequence[UnreportedTurn]) -> tuple[float, float]:
-    """The mean turn and its standard error; nothing where it is no more than the gyro's own error."""
+    """Return the mean turn and its standard error; nothing where it is no more than the gyro's own error."""
     if not those:
         return 0.0, 0.0
     mean_deg = sum(one.turn_deg for one in those) / len(those)
@@ -152,7 +152,7 @@ def _beyond_chance(those: Sequence[UnreportedTurn]) -> tuple[float, float]:
 
 
 def _is_end(pose: Pose, sense: int, low_deg: float, high_deg: float) -> bool:
-    """Whether a dwell lies where a pass in this sense ends."""
+    """Return whether a dwell lies where a pass in this sense ends."""
     return pose.theta_deg > high_deg if sense > 0 else pose.theta_deg < low_deg
 
 

@@ -2,7 +2,7 @@
 
 An open loop that loses steps tells nobody; the unit on it knows. Gyro and gravity tell a move only as well
 as they are known themselves, and before a calibration that is not well: so what may be wrong with unit and
-stage is learned move by move. Each move is predicted first, and what is left is held against what the
+stage is learned move by move. Each move is predicted first, and what is left is compared with what the
 prediction allows.
 
 What is felt less what the stage turned (Δ) is modelled as linear in unknowns of the unit and the stage:
@@ -99,7 +99,7 @@ class MoveCheck:
         return self.felt_deg - self.stage_deg
 
     def words(self) -> str:
-        """What the unit felt, in a sentence's worth."""
+        """Return what the unit felt, in a sentence's worth."""
         witnesses = [
             f"{name} {value:+.2f}°"
             for name, value in (("gyro", self.gyro_deg), ("gravity", self.gravity_deg))
@@ -159,11 +159,11 @@ class MoveWatch:
         self._in_a_row = 0
 
     def touched(self) -> None:
-        """The unit's elevation at the last pose is not to be compared with the next one's."""
+        """Return the unit's elevation at the last pose is not to be compared with the next one's."""
         self._gravity_holds = False
 
     def take(self, now: Pose, turned_deg: float | None, gyro_std_deg: float = 0.0) -> MoveCheck | None:
-        """Judges the move into a pose, and learns from it where it agrees.
+        """Judge the move into a pose, and learn from it if it agrees.
 
         Args:
             now: the pose, its `gyro_move_deg` and its reading or accelerometer.
@@ -275,7 +275,7 @@ def _stood_still(last: Pose | None, now: Pose, turned_deg: float) -> bool:
 
 
 def gravity_deg(pose: Pose) -> float:
-    """Elevation by gravity alone where the pose has an accelerometer, else by the reading."""
+    """Return elevation by gravity alone where the pose has an accelerometer, else by the reading."""
     if pose.accel_y_g is None or pose.accel_z_g is None:
         return pose.reading_deg
     return math.degrees(math.atan2(pose.accel_y_g, pose.accel_z_g))
@@ -307,7 +307,7 @@ def _unit_shape(elevation_deg: float) -> FloatArray:
 
 
 def _consistent(left: FloatArray, innovation: FloatArray) -> list[int]:
-    """Indices of the witnesses that decide: all, or gravity alone where the gyro contradicts it."""
+    """Return indices of the witnesses that decide: all, or gravity alone where the gyro contradicts it."""
     if len(left) < 2:
         return [0]
     apart = float(left[1] - left[0])

@@ -1,4 +1,4 @@
-"""A pose (one dwell at one elevation), its columns (CONTRACT section 4), what a diagnosis asks of them."""
+"""A pose (one dwell at one elevation), its columns (CONTRACT section 4), and checks before a diagnosis."""
 
 from __future__ import annotations
 
@@ -121,20 +121,20 @@ class Pose:
         return self.dial_deg + wrap_deg(self.mount_deg) + (self.map_deg or 0.0)
 
     def row(self) -> dict[str, float | int | None]:
-        """The pose as CONTRACT section 4's columns, covariates after them."""
+        """Return the pose as CONTRACT section 4's columns, covariates after them."""
         known = {name: getattr(self, _attribute(name)) for name in COLUMNS}
         return {**known, **self.covariates}
 
     @classmethod
     def from_row(cls, row: dict[str, float | int | None]) -> Pose:
-        """The pose of a row as `row()` gives it."""
+        """Return the pose of a row as `row()` gives it."""
         known = {_attribute(name): row[name] for name in COLUMNS if name in row}
         extra = {name: value for name, value in row.items() if name not in COLUMNS}
         return cls(**known, covariates=extra)  # type: ignore[arg-type]
 
 
 def of_first_mount(poses: Sequence[Pose]) -> Sequence[Pose]:
-    """The poses taken at the mount of the first one.
+    """Return the poses taken at the mount of the first one.
 
     Each mount's own angle is not known better than a hand clamps, and the stage's errors turn with the dial
     and not with the elevation: only a joint solution makes something of several mounts.
@@ -153,7 +153,7 @@ SAME = 1.0 - 1e-6
 
 
 def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
-    """The runs that have poses; a column that a few poses lack costs those poses, not the column.
+    """Return the runs that have poses; a column that a few poses lack costs those poses, not the column.
 
     Of a run with several mounts, its first one's poses.
     """
@@ -182,7 +182,7 @@ def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str
 
 
 def column_of(poses: Sequence[Pose], name: str) -> FloatArray | None:
-    """(n,) one column of the poses, None where any pose lacks it."""
+    """Return (n,) one column of the poses, None where any pose lacks it."""
     values = [getattr(pose, name) for pose in poses]
     return None if any(value is None for value in values) else np.array(values, dtype=np.float64)
 
@@ -190,7 +190,7 @@ def column_of(poses: Sequence[Pose], name: str) -> FloatArray | None:
 def covariates_of(
     poses: Sequence[Pose], theta: FloatArray, reading: FloatArray
 ) -> tuple[dict[str, FloatArray], list[str]]:
-    """The unknown columns worth looking at, and what was said of the others."""
+    """Return the unknown columns worth looking at, and what was said of the others."""
     names = dict.fromkeys(
         name for pose in poses for name in pose.covariates if name not in (*COLUMNS, *OF_MOUNTS)
     )
@@ -222,14 +222,14 @@ def covariates_of(
 
 
 def same(a: FloatArray, b: FloatArray) -> bool:
-    """Whether one column is the other in other units."""
+    """Return whether one column is the other in other units."""
     if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return False
     return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
 
 
 def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
-    """Raises DiagnosisError where the readings cannot be degrees of these elevations."""
+    """Raise DiagnosisError where the readings cannot be degrees of these elevations."""
     if np.ptp(theta) < 5.0:
         return
     if np.ptp(reading) == 0.0:

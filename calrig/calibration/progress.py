@@ -15,5 +15,5 @@ def unheard(_share: float) -> None:
 
 
 def within(progress: Progress, begin: float, end: float) -> Progress:
-    """The progress of a part that begins and ends at those shares of the whole."""
+    """Return the progress of a part that begins and ends at those shares of the whole."""
     return lambda share: progress((1.0 - share) * begin + share * end)

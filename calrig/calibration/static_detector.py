@@ -69,7 +69,7 @@ def static_poses(
     gyro_dps: FloatArray | None = None,
     temperature_c: FloatArray | None = None,
 ) -> StaticPoses:
-    """Finds the static poses by the spread within a sliding window, against the log's own quiet windows.
+    """Find the static poses by the spread within a sliding window, against the log's own quiet windows.
 
     The static detector of Tedaldi, Pretto & Menegatti (ICRA 2014, section V), with the noise taken from the
     quietest tenth of the log instead of a static period that somebody has to begin with. Neighbouring
@@ -112,7 +112,7 @@ def static_poses(
 
 
 def window_spread(values: FloatArray, width: int) -> FloatArray:
-    """(N − width + 1,) root of the summed variances of the (N, 3) values within each window."""
+    """Return (N − width + 1,) root of the summed variances of the (N, 3) values within each window."""
     centred = values - values.mean(axis=0)  # sums of squares below lose no digits to a common level
     variance = _window_mean(centred**2, width) - _window_mean(centred, width) ** 2
     return np.asarray(np.sqrt(np.maximum(variance.sum(axis=1), 0.0)), dtype=np.float64)
@@ -162,7 +162,7 @@ def _stretches(quiet: BoolArray, width: int, edge: int, shortest: int) -> list[t
 
 
 def _merged(accel_g: FloatArray, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The longer of two neighbours that point the same way: a knock makes no second pose."""
+    """Return the longer of two neighbours that point the same way: a knock makes no second pose."""
     kept: list[tuple[int, int]] = []
     for span in stretches:
         if kept and _apart_deg(accel_g, kept[-1], span) < SAME_POSE_DEG:
@@ -178,7 +178,7 @@ def _apart_deg(accel_g: FloatArray, one: tuple[int, int], other: tuple[int, int]
 
 
 def _means(values: FloatArray | None, spans: list[tuple[int, int]]) -> FloatArray | None:
-    """(n,) mean of the known values in each span; None unless every span has some."""
+    """Return (n,) mean of the known values in each span; None unless every span has some."""
     if values is None:
         return None
     known = [values[a:b][np.isfinite(values[a:b])] for a, b in spans]

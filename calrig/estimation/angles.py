@@ -16,7 +16,7 @@ def wrap_deg(angle_deg: float) -> float: ...
 @overload
 def wrap_deg(angle_deg: FloatArray) -> FloatArray: ...
 def wrap_deg(angle_deg: float | FloatArray) -> float | FloatArray:
-    """The same direction within (−180, 180] degrees; an angle already there comes back bit for bit."""
+    """Return the same direction within (−180, 180] degrees; an angle already there comes back bit for bit."""
     if isinstance(angle_deg, np.ndarray):
         turns = np.ceil((angle_deg - 180.0) / 360.0)
         return np.asarray(angle_deg - 360.0 * turns, dtype=np.float64)
@@ -29,7 +29,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 def along_axis(vectors: FloatArray, axis: str) -> FloatArray:
-    """(n, 3) the same vectors with the named axis first and the others following in turn.
+    """Return (n, 3) the same vectors with the named axis first and the others following in turn.
 
     So that `elevation_deg` is the angle about that axis: 0° is z up about x, x up about y, y up about z.
     """
@@ -37,7 +37,7 @@ def along_axis(vectors: FloatArray, axis: str) -> FloatArray:
 
 
 def elevation_deg(accel_g: FloatArray) -> FloatArray:
-    """Elevation about the sensor's x axis, atan2(accel_y, accel_z); 0° is z up (CONTRACT section 4).
+    """Return elevation about the sensor's x axis, atan2(accel_y, accel_z); 0° is z up (CONTRACT section 4).
 
     Args:
         accel_g: (n, 3) specific force along x, y, z; any one unit will do.
@@ -53,7 +53,7 @@ MAD_TO_STD = 1.4826
 
 
 def robust_std(values: FloatArray) -> float:
-    """The standard deviation by the median absolute deviation, in the values' unit.
+    """Return the standard deviation by the median absolute deviation, in the values' unit.
 
     Args:
         values: (n,), n >= 1.

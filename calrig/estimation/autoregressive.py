@@ -32,13 +32,13 @@ class AutoregressiveSpectrum:
     variance: float
 
     def density(self, omega: FloatArray) -> FloatArray:
-        """(m,) density at ω radians per sample; at 0 it is the long-run variance."""
+        """Return (m,) density at ω radians per sample; at 0 it is the long-run variance."""
         transfer = np.polynomial.polynomial.polyval(np.exp(-1j * omega), self.coefficients)
         return np.asarray(self.variance / np.abs(transfer) ** 2, dtype=np.float64)
 
 
 def fit_autoregression(x: FloatArray) -> AutoregressiveSpectrum:
-    """The spectrum of the noise about the straight line through `x`.
+    """Return the spectrum of the noise about the straight line through `x`.
 
     Burg's method (Burg 1975; Kay, Modern Spectral Estimation, 1988, section 7.6), which is always stable,
     with the order of least BIC. The variance is enlarged for the parameters fitted and, since taking out a

@@ -55,7 +55,7 @@ class Filter:
 
 
 def filter_bank(*, with_gyro: bool, tuned: KalmanNoise | None, gyro_scale: float = 1.0) -> list[Filter]:
-    """Every filter, in the order in which tables and figures show them.
+    """Return every filter, in the order in which tables and figures show them.
 
     Args:
         with_gyro: whether the log has a rate.
@@ -96,7 +96,7 @@ def _of_elevation(smooth: Smoother) -> Run:
 def _kalman(
     name: str, label: str, with_gyro: bool, noise: KalmanNoise | None, gyro_scale: float | None
 ) -> Filter:
-    """A Kalman filter; with a `gyro_scale` it is driven by the scaled rate between samples."""
+    """Return a Kalman filter; with a `gyro_scale` it is driven by the scaled rate between samples."""
     if not with_gyro:
         return Filter(name, label, True, None, NO_GYRO)
     if noise is None:
@@ -114,7 +114,7 @@ def _kalman(
 def kalman_filtered(
     time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray, noise: KalmanNoise
 ) -> FloatArray:
-    """The filtered angle of one segment, by the fast path where its intervals are `EVEN`."""
+    """Return the filtered angle of one segment, by the fast path where its intervals are `EVEN`."""
     steps = np.diff(time_s)
     if len(steps) and np.ptp(steps) <= EVEN * steps.mean():
         return filter_uniform(elevation_deg, rate_dps, float(steps.mean()), noise)
@@ -149,7 +149,7 @@ class Jitter:
 def jitter(
     time_s: FloatArray, angle_deg: FloatArray, static: Sequence[slice], bin_s: float = BIN_S
 ) -> Jitter | None:
-    """The jitter of an angle over the segments in which the sensor stands.
+    """Return the jitter of an angle over the segments in which the sensor stands.
 
     Nirmal et al., Proc. SPIE 9912 (2016), give 0.330° before and 0.143° after fusion "per 100 ms" and no
     formula; taken here is the one for which the raw figure is the noise of a single sample. Mean and slow
@@ -233,7 +233,7 @@ class FilterRow:
     reasons: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, str | bool | float | list[str] | None]:
-        """The row flat, for JSON and tables: a figure that is not known is None."""
+        """Return the row flat, for JSON and tables: a figure that is not known is None."""
         trembles, follows = self.jitter, self.transient
         return {
             "name": self.name,
@@ -292,7 +292,7 @@ def compare_filters(
     gyro_scale: float = 1.0,
     true_deg: npt.ArrayLike | None = None,
 ) -> FilterComparison:
-    """Runs every filter over a log and measures each on the same samples.
+    """Run every filter over a log and measure each on the same samples.
 
     Every segment between gaps is filtered by itself, and counts from `SETTLE_S` after its beginning. Jitter
     is taken where the sensor stands, lag and offset where it is turned, against `move_reference`.
@@ -368,7 +368,7 @@ def _finite(
 
 
 def _references(log: _Log, segment: slice, intervals: Intervals) -> list[MoveReference]:
-    """The references of a segment's moves that begin late enough for the filters to have settled."""
+    """Return the references of a segment's moves that begin late enough for the filters to have settled."""
     begins = [segment.start, *(one.stop for one in intervals.dynamic)]
     ends = [*(one.start for one in intervals.dynamic), segment.stop]
     references = []

@@ -61,7 +61,7 @@ class SteadyStateGain:
 
 
 def steady_state_gain(noise: KalmanNoise, dt_s: float) -> SteadyStateGain:
-    """The gain to which the filter converges at uniform dt, in closed form.
+    """Return the gain to which the filter converges at uniform dt, in closed form.
 
     Setting the covariance after an update equal to that before the next prediction, and s = √(1 − k_angle),
     leaves a palindromic quartic, s⁴ − β·s³ − (2 + κ)·s² − β·s + 1 = 0 with β = dt·√(q_bias·dt/R) and
@@ -128,20 +128,16 @@ def samples_to_steady_state(
         return None
     steady = steady_state_gain(noise, dt_s)
     n = max(2, round(at_most_s / dt_s))
-    outside = _off_steady(gain_schedule(noise, dt_s, n), steady) > within
-    samples = n - int(np.argmax(outside[::-1]))
+    k_angle, k_bias = gain_schedule(noise, dt_s, n)
+    off = np.maximum(np.abs(k_angle / steady.k_angle - 1.0), np.abs(k_bias / steady.k_bias - 1.0))
+    samples = n - int(np.argmax(off[::-1] > within))
     return samples if samples < n else None
-
-
-def _off_steady(gains: tuple[FloatArray, FloatArray], steady: SteadyStateGain) -> npt.NDArray[np.float64]:
-    off_angle = np.abs(gains[0] / steady.k_angle - 1.0)
-    return np.maximum(off_angle, np.abs(gains[1] / steady.k_bias - 1.0))
 
 
 def filter_uniform(
     elevation_deg: npt.ArrayLike, rate_dps: npt.ArrayLike, dt_s: float, noise: KalmanNoise | None = None
 ) -> FloatArray:
-    """Filters a whole log taken at one interval: what `KalmanFilter` gives, to 1e-9°, far faster.
+    """Filter a whole log taken at one interval: what `KalmanFilter` gives, to 1e-9°, far faster.
 
     The recursion runs until its covariance has converged to machine precision, from there on a linear
     filter. Where the elevation jumps half a turn away from the filter, the recursion does it all.

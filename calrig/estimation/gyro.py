@@ -45,7 +45,7 @@ class GyroScale:
 
 
 def dwell_bias(gyro_dps: FloatArray) -> GyroBias:
-    """The mean rate of one dwell, in which nothing turns.
+    """Return the mean rate of one dwell, in which nothing turns.
 
     Whatever turned the unit all the same, a slip or a knock, is an outlier among the means of the dwell's
     blocks and is left out: a slip of 0.05° within 2 s would be taken for a bias of 0.025°/s. The standard
@@ -66,7 +66,7 @@ def dwell_bias(gyro_dps: FloatArray) -> GyroBias:
 
 
 def _without_outliers(rate_dps: FloatArray) -> FloatArray:
-    """The samples but for those of blocks whose mean is an outlier, by noise and median deviation."""
+    """Return the samples but for those of blocks whose mean is an outlier, by noise and median deviation."""
     length = len(rate_dps) // BLOCKS
     if length < FEWEST_OF_A_BLOCK:
         return rate_dps
@@ -78,7 +78,7 @@ def _without_outliers(rate_dps: FloatArray) -> FloatArray:
 
 
 def run_bias(dwells: list[GyroBias]) -> GyroBias:
-    """The bias of a run: the mean of its dwells' means.
+    """Return the bias of a run: the mean of its dwells' means.
 
     Its standard error comes from the scatter between dwells, so that a bias that wanders in the run makes it
     larger; a single dwell passes its own on.
@@ -96,7 +96,7 @@ def run_bias(dwells: list[GyroBias]) -> GyroBias:
 def move_angle_deg(
     time_s: FloatArray, rate_dps: FloatArray, bias_dps: float, gap_s: float = math.inf
 ) -> float | None:
-    """Angle turned by the gyro's account: rate less bias, integrated by trapezoids (`gyro_move_deg`).
+    """Return angle turned by the gyro's account: rate less bias, integrated by trapezoids (`gyro_move_deg`).
 
     Args:
         time_s: (n,) the board's clock from the last sample of the dwell before to the first of this one.
@@ -109,8 +109,7 @@ def move_angle_deg(
     """
     if len(time_s) < 2 or np.diff(time_s).max() > gap_s or not np.isfinite(rate_dps).all():
         return None
-    rate = rate_dps - bias_dps
-    return float((rate[1:] + rate[:-1]) @ np.diff(time_s)) / 2.0
+    return float(np.trapezoid(rate_dps - bias_dps, time_s))
 
 
 def moves_about_axes(
@@ -184,7 +183,7 @@ def felt_move_deg(
 
 
 def gyro_scale(turned_deg: npt.ArrayLike, gyro_move_deg: npt.ArrayLike) -> GyroScale | None:
-    """The factor by which integrated rate must be multiplied to give what the stage turned.
+    """Return the factor by which integrated rate must be multiplied to give what the stage turned.
 
     Least squares through the origin over all moves of `MIN_TURN_DEG` and more, its standard error from their
     scatter (Draper & Smith, Applied Regression Analysis, 1998, chapter 1).

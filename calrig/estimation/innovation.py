@@ -93,7 +93,7 @@ class InnovationCheck:
 def innovation_check(
     elevation_deg: FloatArray, rate_dps: FloatArray, dt_s: float, noise: KalmanNoise | None = None
 ) -> InnovationCheck:
-    """Runs the filter over a static interval and tests its innovations, per sample and over 100 ms.
+    """Run the filter over a static interval and test its innovations, per sample and over 100 ms.
 
     Args:
         elevation_deg: (n,) elevation of the accelerometer while nothing turns, evenly sampled.

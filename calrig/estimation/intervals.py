@@ -41,7 +41,7 @@ class Intervals:
 
 
 def segments_of(time_s: FloatArray) -> list[slice]:
-    """The longest runs of samples without a gap, in order.
+    """Return the longest runs of samples without a gap, in order.
 
     Args:
         time_s: (n,) strictly increasing.
@@ -57,7 +57,7 @@ def segments_of(time_s: FloatArray) -> list[slice]:
 def find_intervals(
     time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray | None, within: slice
 ) -> Intervals:
-    """Finds the moves in a segment without a gap of a log that stands for most of it.
+    """Find the moves in a segment without a gap of a log that stands for most of it.
 
     It turns where the rate, smoothed over 50 ms, departs from its median by `_MIN_RATE_DPS` and by six times
     its robust spread; without a gyro, the slope of the elevation over 0.1 s is the rate, and slow moves drown
@@ -98,7 +98,7 @@ def _slope(x: FloatArray, interval_s: float) -> FloatArray:
 
 
 def _runs(active: npt.NDArray[np.bool_], join: int, margin: int) -> list[tuple[int, int]]:
-    """Runs of True with a margin on either side, those nearer than `join` taken together."""
+    """Return runs of True with a margin on either side, those nearer than `join` taken together."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(np.int8)))
     runs: list[tuple[int, int]] = []
     for a, b in edges.reshape(-1, 2).tolist():

@@ -50,7 +50,7 @@ class KalmanFilter:
 
     Args:
         noise: what it assumes.
-        gap_s: after so long without a sample it takes the angle anew from the next one and keeps the bias:
+        gap_s: after so long without a sample it restarts the angle from the next one and keeps the bias:
             what the gyro would have told of a turn meanwhile is lost. The filter of the paper never does.
     """
 
@@ -81,7 +81,7 @@ class KalmanFilter:
         return np.array([[self._p00, self._p01], [self._p01, self._p11]])
 
     def update(self, angle_deg: float, rate_dps: float, dt_s: float) -> float:
-        """Takes one sample and returns the filtered angle.
+        """Take one sample and return the filtered angle.
 
         Args:
             angle_deg: elevation of the accelerometer, any turn.
@@ -118,7 +118,7 @@ class KalmanFilter:
         return angle
 
     def run(self, time_s: npt.ArrayLike, elevation_deg: npt.ArrayLike, rate_dps: npt.ArrayLike) -> FloatArray:
-        """Filters a block with the board's own times, going on from the block before.
+        """Filter a block with the board's own times, continuing from the block before.
 
         Args:
             time_s: (n,) the board's clock, strictly increasing, also from the block before.

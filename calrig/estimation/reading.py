@@ -37,7 +37,7 @@ def dwell_reading(
     filtered_deg: FloatArray,
     noise: KalmanNoise | None = None,
 ) -> Reading:
-    """Reads a dwell.
+    """Read a dwell.
 
     Args:
         time_s: (n,) the board's clock over the dwell.
@@ -70,7 +70,7 @@ def reading_stderr_deg(
     filtered_deg: FloatArray,
     noise: KalmanNoise | None = None,
 ) -> float | None:
-    """Standard error of the mean of a dwell's filtered samples; arguments as for `dwell_reading`.
+    """Return standard error of the mean of a dwell's filtered samples; arguments as for `dwell_reading`.
 
     The filtered samples are correlated over a good part of a short dwell, so neither std/√n (12 times too
     small) nor their own autocorrelation (biased low) will do. The mean is a linear functional of what went

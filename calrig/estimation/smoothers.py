@@ -22,7 +22,7 @@ SAVITZKY_GOLAY_ORDERS = (1, 2, 4, 6)
 def moving_average(
     x: FloatArray, window: int = MOVING_AVERAGE_WINDOW, *, centred: bool = False
 ) -> FloatArray:
-    """The mean of the last `window` samples, or of those around each sample.
+    """Return the mean of the last `window` samples, or of those around each sample.
 
     An even window has no middle sample. Centred, it spans window + 1 samples, the outer two with half weight,
     and so neither leads nor lags.
@@ -46,7 +46,7 @@ def moving_average(
 def savitzky_golay(
     x: FloatArray, order: int, window: int = SAVITZKY_GOLAY_WINDOW, *, centred: bool = False
 ) -> FloatArray:
-    """A polynomial fitted to `window` samples, evaluated at the newest or in the middle.
+    """Return a polynomial fitted to `window` samples, evaluated at the newest or in the middle.
 
     Savitzky & Golay, Anal. Chem. 36 (1964) 1627, through `scipy.signal.savgol_coeffs`. Centred, an odd order
     is the even one below it, and order 1 is the mean.

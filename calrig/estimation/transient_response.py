@@ -58,7 +58,7 @@ class Transient:
 def move_reference(
     time_s: FloatArray, elevation_deg: FloatArray, rate_dps: FloatArray | None, move: slice, room: slice
 ) -> MoveReference | None:
-    """Where the sensor was during a move, from the record before, in and after it.
+    """Return where the sensor was during a move, from the record before, in and after it.
 
     With a gyro: the rate, less its mean while it stood before and after (and what drifted between), is
     integrated by trapezoids and stretched and shifted so that it agrees with the accelerometer's mean
@@ -92,7 +92,7 @@ def move_reference(
 
 
 def transient(time_s: FloatArray, angle_deg: FloatArray, moves: Sequence[MoveReference]) -> Transient | None:
-    """How a filter follows the moves of a log.
+    """Return how a filter follows the moves of a log.
 
     Args:
         time_s: (n,) strictly increasing.
@@ -126,7 +126,7 @@ def _at(move: MoveReference, time_s: FloatArray) -> FloatArray:
 
 
 def _lag(time_s: FloatArray, angle_deg: FloatArray, move: MoveReference) -> tuple[float, float]:
-    """The shift that fits best, by Gauss-Newton, and Σ rate², which is what the move says of it."""
+    """Return the shift that fits best, by Gauss-Newton, and Σ rate², which is what the move says of it."""
     rate = np.gradient(move.angle_deg, move.time_s)
     lag_s, weight = 0.0, 0.0
     for _ in range(50):

@@ -38,7 +38,7 @@ def tuned_noise(
     gyro_scale_std: float = 0.0,
     turning_deg_per_sqrt_s: float = 0.0,
 ) -> KalmanNoise:
-    """The constants of the filter for one unit.
+    """Return the constants of the filter for one unit.
 
     The bias's walk is the largest of three. K, where the Allan deviation shows a random walk. Where it shows
     flicker, which no random walk is, the walk that reaches the floor just where the white noise does, at
@@ -78,7 +78,7 @@ def tuned_noise(
 
 
 def midpoint_rate_dps(rate_dps: FloatArray) -> FloatArray:
-    """The rate between each sample and the one before: what a step of the filter is to be driven by.
+    """Return the rate between each sample and the one before: what a step of the filter is to be driven by.
 
     a + dt·u(n) gives each step the rate of its end, and so runs half an interval ahead of a sensor that
     turns: 2.5 ms at 200 Hz, 0.05° at 20 °/s. The paper's constants pull that back within half a second; a

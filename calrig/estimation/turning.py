@@ -57,11 +57,11 @@ class EvenTurn:
     scatter_deg: float
 
     def elevation_deg(self, time_s: FloatArray) -> FloatArray:
-        """Where the stage was by its reports."""
+        """Return where the stage was by its reports."""
         return np.asarray(self.at_deg + self.velocity_dps * (time_s - self.at_s), dtype=np.float64)
 
     def time_s(self, elevation_deg: float) -> float:
-        """When it was there."""
+        """Return when it was there."""
         return self.at_s + (elevation_deg - self.at_deg) / self.velocity_dps
 
 
@@ -73,16 +73,16 @@ class ClockLine:
     offset_s: float
 
     def board_s(self, host_s: FloatArray) -> FloatArray:
-        """The board's times for the host's."""
+        """Return the board's times for the host's."""
         return np.asarray(self.offset_s + self.slope * host_s, dtype=np.float64)
 
     def host_s(self, board_s: float) -> float:
-        """The host's time for one of the board's."""
+        """Return the host's time for one of the board's."""
         return (board_s - self.offset_s) / self.slope
 
 
 def clock_line(seen_s: FloatArray) -> ClockLine:
-    """The line that takes times of the host to times of the board, but for a constant.
+    """Return the line that takes times of the host to times of the board, but for a constant.
 
     No sample is seen before it was taken: the line lies above all pairs, as near to them as it can (Moon,
     Skelly & Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999).
@@ -104,7 +104,7 @@ def clock_line(seen_s: FloatArray) -> ClockLine:
 
 
 def even_turn(time_s: FloatArray, reported_deg: FloatArray, from_deg: float, to_deg: float) -> EvenTurn:
-    """The straight line through the reports between two elevations, in the order turned.
+    """Return the straight line through the reports between two elevations, in the order turned.
 
     Args:
         time_s: (m,) of the reports, by the board's clock (`clock_line`).
@@ -202,7 +202,7 @@ def turn_between(
     second_s: tuple[float, float],
     bias_std_dps: float,
 ) -> tuple[float, float]:
-    """The turn from the mean of one span to the mean of a later one, and its standard error.
+    """Return the turn from the mean of one span to the mean of a later one, and its standard error.
 
     White noise of a one-sided density 2·N², integrated, makes the two means differ with a variance of
     N²·(first/3 + gap + second/3): the integral of the squared weight that each instant's rate has.
@@ -244,7 +244,7 @@ def common_delay_s(stands_s: FloatArray, clocks: ClockLine, std_s: float) -> flo
 
 
 def _slows_and_stands(rate_dps: FloatArray, even: int) -> tuple[int, int]:
-    """Indices at which the rate begins to fall for good, and at which it has, seen from the even part."""
+    """Indices at which the rate begins its last fall, and at which it has fallen, from the even part on."""
     before_dps = rate_dps[max(0, even - LOCAL) : even + 1].mean()
     share = rate_dps[even:] / before_dps
     slows = int(np.flatnonzero(share > NEARLY)[-1]) if (share > NEARLY).any() else 0
@@ -255,7 +255,7 @@ def _slows_and_stands(rate_dps: FloatArray, even: int) -> tuple[int, int]:
 def filter_lag_deg(
     time_s: FloatArray, rate_dps: FloatArray, gain_error: float, noise: KalmanNoise
 ) -> FloatArray:
-    """What a gyro wrong by a share of the rate adds to the filtered angle, until it is taken for bias.
+    """Return what a gyro wrong by a share of the rate adds to the filtered angle, until it is taken for bias.
 
     Args:
         time_s: (n,) from a stand on.
@@ -272,7 +272,7 @@ def filter_lag_deg(
 
 
 def turned_back(accel_g: FloatArray, turn_deg: FloatArray) -> FloatArray:
-    """(n, 3) specific force of a sensor that turns about its x, as at the middle of the turn.
+    """Return (n, 3) specific force of a sensor that turns about its x, as at the middle of the turn.
 
     The mean over an arc is shorter than gravity; the mean of what is turned back is not.
 

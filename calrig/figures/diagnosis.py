@@ -54,7 +54,7 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
 
 
 def partial_residual(found: PartialResidual) -> Figure:
-    """The partial residual of one effect against its covariate, with the fitted effect through it.
+    """Return the partial residual of one effect against its covariate, with the fitted effect through it.
 
     The effect is a line where it is a function of the covariate, points where it depends on more than that.
     """
@@ -80,7 +80,7 @@ def partial_residual(found: PartialResidual) -> Figure:
 
 
 def _axis(name: str) -> str:
-    """The title of the axis of a covariate, with its unit."""
+    """Return the title of the axis of a covariate, with its unit."""
     covariate = covariate_of(name)
     if name == "approach":
         return f"{covariate.title}, spread by elevation"
@@ -90,7 +90,7 @@ def _axis(name: str) -> str:
 def error_map(
     stage_deg: Sequence[float], approach: Sequence[int], error_deg: Sequence[float], std_deg: Sequence[float]
 ) -> Figure:
-    """The rig error map by angle of the dial, one line an approach, with standard errors."""
+    """Return the rig error map by angle of the dial, one line an approach, with standard errors."""
     layout = layout_of("angle of the dial (°)", "elevation less dial (°)")
     layout["yaxis"]["zeroline"] = True
     data = []
@@ -133,13 +133,13 @@ def _fitted(found: PartialResidual, at: FloatArray) -> dict[str, Any]:
 
 
 def _spread_by_elevation(found: PartialResidual) -> FloatArray:
-    """Poses of one approach beside each other by elevation, so that they do not lie on one line."""
+    """Return poses of one approach beside each other by elevation, so that they do not lie on one line."""
     largest = max(float(np.abs(found.theta_deg).max()), 1.0)
     return np.asarray(found.at + 0.45 * found.theta_deg / largest, dtype=np.float64)
 
 
 def _levels(found: PartialResidual, at: FloatArray) -> dict[str, list[float | None]]:
-    """A level line for each approach, with gaps between them."""
+    """Return a level line for each approach, with gaps between them."""
     x: list[float | None] = []
     y: list[float | None] = []
     for approach in np.unique(found.at):

@@ -74,7 +74,7 @@ def _traces(
     *,
     about_mean: bool = False,
 ) -> list[dict[str, Any]]:
-    """A line a filter that was run, the accelerometer's own behind them."""
+    """Return a line a filter that was run, the accelerometer's own behind them."""
     rows = {row.name: row for row in comparison.rows}
     time_s = (comparison.time_s[drawn] - begin_s).tolist()
     traces = []

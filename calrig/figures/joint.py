@@ -43,7 +43,7 @@ def joint_figure(name: str, document: Mapping[str, Any], poses: Mapping[str, Seq
 
 
 def _map(document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Figure:
-    """The map as a band, and each pose as the map with what it leaves."""
+    """Return the map as a band, and each pose as the map with what it leaves."""
     at, error, std = (document["stage"]["map"][name] for name in ("stage_deg", "error_deg", "std_deg"))
     points = _points(document, poses, poses["on_map_deg"])
     low, high = ([e + side * s for e, s in zip(error, std, strict=True)] for side in (-2.0, 2.0))
@@ -55,7 +55,7 @@ def _map(document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Fig
 def _points(
     document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]], values_deg: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """The poses of each mount, at most `MAX_POINTS` of all; where mounts are many, some are named."""
+    """Return the poses of each mount, at most `MAX_POINTS` of all; where mounts are many, some are named."""
     stride = max(1, -(-len(values_deg) // MAX_POINTS))
     names = [f"{mount['unit']}, {mount['mount']}" for mount in document["mounts"]]
     colours = colours_of(names)

@@ -113,7 +113,7 @@ def _unit(channels: Sequence[ChannelNoise]) -> str:
 
 
 def _fitted(channel: ChannelNoise, colour: str, *, apart: bool) -> list[dict[str, Any]]:
-    """The sum of the fitted terms as a dashed line, and each by itself as a dotted one if `apart`."""
+    """Return the sum of the fitted terms as a dashed line, and each by itself as a dotted one if `apart`."""
     tau_s, found = channel.allan.tau_s, channel.coefficients
     kinds = dict(zip(KINDS, variance_of(tau_s).T, strict=True)) | {"ramp": tau_s**2 / 2.0}
     terms = {
@@ -146,7 +146,7 @@ def _dashed(name: str, tau_s: FloatArray, variance: FloatArray, colour: str, das
 def _lines(
     channel: ChannelNoise, frequency_hz: FloatArray, density: FloatArray, colour: str
 ) -> list[dict[str, Any]]:
-    """Where the spectral lines stand, at the height of what is drawn there."""
+    """Return where the spectral lines stand, at the height of what is drawn there."""
     if not channel.lines:
         return []
     at = [line.frequency_hz for line in channel.lines]

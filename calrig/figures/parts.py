@@ -19,7 +19,7 @@ APPROACHES = {
 
 
 def line_of(name: str, x: list[Any], y: list[Any], colour: str, hover: str | None = None) -> dict[str, Any]:
-    """A line through points, with what hovering over it says."""
+    """Return a line through points, with what hovering over it says."""
     trace: dict[str, Any] = {
         "type": "scatter",
         "mode": "lines",
@@ -52,17 +52,17 @@ def band_of(
 
 
 def error_bars(std: Sequence[float | None], colour: str) -> dict[str, Any]:
-    """Standard errors about points; none where one is not known."""
+    """Return standard errors about points; none where one is not known."""
     return {"type": "data", "array": list(std), "color": colour, "thickness": 1.2, "width": 3}
 
 
 def as_text(name: str) -> str:
-    """A name as plain text: plotly reads a few HTML tags and entities in the names of traces."""
+    """Return a name as plain text: plotly reads a few HTML tags and entities in the names of traces."""
     return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
 def colour_of(k: int) -> str:
-    """The k-th colour; they begin again with the first."""
+    """Return the k-th colour; they begin again with the first."""
     return PALETTE[k % len(PALETTE)]
 
 
@@ -79,14 +79,14 @@ def colours_of(names: Sequence[str], chosen: Collection[str] = ()) -> dict[str, 
 
 
 def dimmed(trace: dict[str, Any]) -> dict[str, Any]:
-    """A line without a colour of its own, behind the others: thin, without errors or a legend."""
+    """Return a line without a colour of its own, behind the others: thin, without errors or a legend."""
     kept = {key: value for key, value in trace.items() if key != "error_y"}
     look = {"line": {"color": GREY, "width": 1}, "marker": {"color": GREY, "size": 4}}
     return {**kept, **look, "mode": "lines+markers", "opacity": 0.4, "showlegend": False}
 
 
 def axis_of(title: str) -> dict[str, Any]:
-    """An axis with its title."""
+    """Return an axis with its title."""
     return {
         "title": {"text": title, "standoff": 8},
         "automargin": True,
@@ -102,7 +102,7 @@ def axis_of(title: str) -> dict[str, Any]:
 
 
 def layout_of(x_title: str, y_title: str) -> dict[str, Any]:
-    """The look of a figure with one pair of axes."""
+    """Return the look of a figure with one pair of axes."""
     return {
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": GREY},
         "paper_bgcolor": "rgba(0,0,0,0)",

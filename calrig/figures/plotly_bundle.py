@@ -26,7 +26,7 @@ class BundleError(ValueError):
 
 
 def partial_bundle(script: str, traces: Collection[str] = TRACES) -> str:
-    """The script with the core and these traces alone.
+    """Return the script with the core and these traces alone.
 
     Args:
         script: plotly.min.js as plotly's wheel has it.
@@ -63,7 +63,7 @@ def _taken_apart(script: str, wrapper: str) -> tuple[str, dict[str, str], str, s
 
 
 def _trace_of(modules: Mapping[str, str], name: str) -> str | None:
-    """The trace that a module is, following those that only pass another one on."""
+    """Return the trace that a module is, following those that only pass another one on."""
     text = modules.get(name, "")
     while (forwards := _FORWARDS.search(text)) and len(text) < 200:
         text = modules.get(forwards[1], "")

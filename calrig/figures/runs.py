@@ -63,7 +63,7 @@ def residual(
     scale: float | None = None,
     excluded: Collection[int] = (),
 ) -> Figure:
-    """Residual of each pose against elevation: as it came above, calibrated below, marked by approach.
+    """Return residual of each pose against elevation: as it came above, calibrated below, marked by approach.
 
     Args:
         poses: in the order measured.

@@ -28,7 +28,7 @@ _PLAIN = ("&lt;", "<"), ("&gt;", ">"), ("&amp;", "&")
 
 
 def svg_of(figure: Figure) -> str:
-    """The picture.
+    """Return the picture.
 
     Raises:
         ValueError: a trace is not one of markers.
@@ -126,7 +126,7 @@ def _text(
 
 
 def _plain(text: str) -> str:
-    """The inverse of `parts.as_text`."""
+    """Return the inverse of `parts.as_text`."""
     for quoted, plain in _PLAIN:
         text = text.replace(quoted, plain)
     return text
@@ -163,7 +163,7 @@ def residual_steps(
     approach: Sequence[int],
     steps: Sequence[tuple[str, Sequence[float]]],
 ) -> Figure:
-    """What is left against elevation, marked by approach; each band has its own scale.
+    """Return what is left against elevation, marked by approach; each band has its own scale.
 
     Args:
         elevation_deg: (n,) of the poses.

@@ -81,7 +81,7 @@ class AllanCurve:
 
 
 def allan_curve(log: UniformLog, name: str) -> AllanCurve:
-    """The overlapping Allan deviation of a channel.
+    """Return the overlapping Allan deviation of a channel.
 
     Args:
         log: evenly spaced samples.
@@ -137,7 +137,7 @@ def _clusters(factors: IntArray, lengths: IntArray) -> IntArray:
 
 
 def _phase(values: FloatArray) -> FloatArray:
-    """(n + 1,) running sum about the mean, from 0; about the mean, since that keeps its digits."""
+    """Return (n + 1,) running sum about the mean, from 0; about the mean, since that keeps its digits."""
     phase = np.empty(len(values) + 1)
     phase[0] = 0.0
     np.subtract(values, values.mean(), out=phase[1:])
@@ -159,7 +159,7 @@ def _sum_of_squares(phase: FloatArray, m: int) -> float:
 
 
 def _sums_of_differences(phase: FloatArray, factors: IntArray) -> FloatArray:
-    """(M,) Σ (x[i+2m] − 2x[i+m] + x[i]), of which all but the ends cancels."""
+    """Return (M,) Σ (x[i+2m] − 2x[i+m] + x[i]), of which all but the ends cancels."""
     running = np.cumsum(phase)
     first, middle = running[factors - 1], running[2 * factors - 1]
     last, before = running[-1] - running[-1 - factors], running[-1] - running[-1 - 2 * factors]
@@ -174,7 +174,7 @@ def _slope(phase: FloatArray) -> float:
 
 
 def _exponents(factors: IntArray, variance: FloatArray) -> IntArray:
-    """(M,) α of the density f^α that the variance's slope over two octaves tells of: 2, 0, −1 or −2.
+    """Return (M,) α of the density f^α that the variance's slope over two octaves tells of: 2, 0, −1 or −2.
 
     What falls slower with τ outlasts what falls faster, so α never rises again.
     """
@@ -191,7 +191,7 @@ def _exponents(factors: IntArray, variance: FloatArray) -> IntArray:
 
 
 def _edf(factors: IntArray, lengths: IntArray, exponents: IntArray) -> FloatArray:
-    """(M,) equivalent degrees of freedom (NIST SP 1065, table 5), summed over the segments."""
+    """Return (M,) equivalent degrees of freedom (NIST SP 1065, table 5), summed over the segments."""
     edf = np.zeros(len(factors))
     sizes, how_many = np.unique(lengths, return_counts=True)
     for size, times in zip(sizes, how_many, strict=True):
@@ -246,7 +246,7 @@ class CurveTheory:
     slope: FloatArray
 
     def covariance(self, kinds: list[int], c: FloatArray) -> FloatArray:
-        """(J, J) covariance of the values, for noise of the given kinds with c (p,)."""
+        """Return (J, J) covariance of the values, for noise of the given kinds with c (p,)."""
         among = self.products[np.ix_(kinds, kinds)]
         ragged = self.ragged[:, kinds] * c
         misfit = (MISFIT * (self.variance[:, kinds] @ c)) ** 2 + (ragged**2).sum(axis=1)
@@ -255,13 +255,13 @@ class CurveTheory:
 
 
 def variance_of(tau_s: FloatArray) -> FloatArray:
-    """(J, 4) Allan variance at τ per unit of Q², N², B², K²."""
+    """Return (J, 4) Allan variance at τ per unit of Q², N², B², K²."""
     flat = np.full(len(tau_s), 2.0 * math.log(2.0) / math.pi)
     return np.column_stack([3.0 / tau_s**2, 1.0 / tau_s, flat, tau_s / 3.0])
 
 
 def theory_of(curve: AllanCurve, used: IntArray, *, filtered: bool = False) -> CurveTheory:
-    """The theory of a curve's values.
+    """Return the theory of a curve's values.
 
     Args:
         curve: of one channel.
@@ -294,20 +294,20 @@ def theory_of(curve: AllanCurve, used: IntArray, *, filtered: bool = False) -> C
 
 
 def _differences(lengths: IntArray, factors: FloatArray) -> FloatArray:
-    """(J,) how many differences there are; the few that fit where τ is long count for more each."""
+    """Return (J,) how many differences there are; the few that fit where τ is long count for more each."""
     inside = np.maximum(lengths - 2.0 * factors[:, None] + 1.0, 0.8 * factors[:, None])
     return np.asarray(np.where(2 * factors[:, None] <= lengths, inside, 0.0).sum(axis=1), dtype=np.float64)
 
 
 def _densities(nu: FloatArray, period_s: float) -> FloatArray:
-    """(4, F) two-sided density per cycle a sample of each kind of noise, per unit of its c."""
+    """Return (4, F) two-sided density per cycle a sample of each kind of noise, per unit of its c."""
     edge = 2.0 * np.sin(math.pi * nu)
     flat = np.full(len(nu), 1.0 / period_s)
     return np.stack([(edge / period_s) ** 2, flat, 0.5 / (math.pi * nu), period_s / edge**2])
 
 
 def _slope_variance(durations_s: FloatArray) -> FloatArray:
-    """(4,) variance of the pooled slope of straight lines through segments, per unit of each c.
+    """Return (4,) variance of the pooled slope of straight lines through segments, per unit of each c.
 
     Each is ∫ S(f)·|W(f)|² df, with W the transform of the line's weights 12t/T³.
     """
@@ -321,7 +321,7 @@ def _slope_variance(durations_s: FloatArray) -> FloatArray:
 def _slope_with_steps(
     curve: AllanCurve, factors: FloatArray, transfer: FloatArray, nu: FloatArray
 ) -> FloatArray:
-    """(J, F) what a density must be multiplied by for the covariance of `slope_per_s` and `mean_step`.
+    """Return (J, F) what a density must be multiplied by for the covariance of `slope_per_s` and `mean_step`.
 
     Segments count as so many of equal length as give the slope the same weight.
     """

@@ -16,7 +16,7 @@ from calrig.noise.resampling import UniformLog, uniform_log
 from calrig.noise.spectral_lines import Line, find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
 from calrig.noise.temperature import Temperature, temperature_of
-from calrig.noise.units import unit_of
+from calrig.noise.units import accelerometer_channels, unit_of
 
 LEAST_TURN_DEG = 5.0
 """Of gravity in the sensor: 87 mg, more than offsets drift by."""
@@ -24,7 +24,7 @@ MEAN_OVER_S = 1.0
 
 
 def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Sequence[slice]) -> float | None:
-    """How far gravity turns in the sensor, from means of a second, about its mean direction over all.
+    """Return how far gravity turns in the sensor, from means of a second, about its mean direction over all.
 
     Args:
         channels: (N,) each, by name with its unit.
@@ -34,15 +34,13 @@ def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Seque
     Returns:
         The largest angle; None without three axes of an accelerometer in one unit, or without a whole second.
     """
-    for unit in ("g", "lsb"):
-        axes = [channels.get(f"accel_{axis}_{unit}") for axis in "xyz"]
-        known = [axis for axis in axes if axis is not None]
-        if len(known) == len(axes):
-            break
-    else:
+    axes = accelerometer_channels(channels, "xyz")
+    if axes is None:
         return None
     count = max(1, round(MEAN_OVER_S * rate_hz))
-    means = np.column_stack([np.concatenate([_means(axis[s], count) for s in segments]) for axis in known])
+    means = np.column_stack(
+        [np.concatenate([_means(channels[axis][s], count) for s in segments]) for axis in axes]
+    )
     if not len(means):
         return None
     size = np.linalg.norm(means, axis=1)
@@ -55,7 +53,7 @@ def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Seque
 
 
 def _means(values: FloatArray, count: int) -> FloatArray:
-    """Means of so many values each, one after the other."""
+    """Return means of so many values each, one after the other."""
     whole = len(values) // count
     return np.asarray(values[: whole * count].reshape(whole, count).mean(axis=1), dtype=np.float64)
 
@@ -75,7 +73,7 @@ NEAR_ADF, NEAR_PSD = 0.2, 0.6
 def colour_of(
     curve: AllanCurve, coefficients: Coefficients, psd_slope: float | None, lines: Sequence[Line]
 ) -> Colour | None:
-    """What to call the noise; None where there is none, or nothing to tell it by.
+    """Return what to call the noise; None where there is none, or nothing to tell it by.
 
     - A log with a line is `lines`, `mixed` if what is under the line is not white.
     - `white`, `pink` (flicker), `brown` (random walk) or `quantisation-limited` (quantisation): that kind is
@@ -110,7 +108,7 @@ def _ruling(curve: AllanCurve, coefficients: Coefficients) -> Colour | None:
 
 
 def _fitting(adf_slope: float | None, psd_slope: float | None) -> list[Colour]:
-    """The words whose slopes are near those measured."""
+    """Return the words whose slopes are near those measured."""
     near = np.ones(len(_WORDS), dtype=np.bool_)
     if adf_slope is not None:
         near &= np.abs(adf_slope - _ADF_SLOPES) <= NEAR_ADF
@@ -179,7 +177,7 @@ def analyse(
     rate_hz: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Noise:
-    """Analyses a log of a sensor at rest.
+    """Analyse a log of a sensor at rest.
 
     Where the log has accel_y and accel_z of one unit, the elevation of each sample, atan2(y, z), is analysed
     as one more channel.
@@ -194,13 +192,13 @@ def analyse(
         ValueError: there is no rate or no sample; says what to do.
     """
     log = uniform_log(channels, time_s, rate_hz)
-    y_and_z = _elevation_axes(log)
-    names = [*log.channels, *([ELEVATION] if y_and_z else [])]
+    axes = accelerometer_channels(log.channels)
+    names = [*log.channels, *([ELEVATION] if axes else [])]
     analysed: dict[str, ChannelNoise] = {}
     for done, name in enumerate(names, start=1):
-        if y_and_z is not None and name == ELEVATION:
-            with_it = {**log.channels, ELEVATION: static_elevation_deg(*y_and_z)}
-            log = replace(log, channels=with_it)
+        if axes is not None and name == ELEVATION:
+            elevation_deg = static_elevation_deg(*(log.channels[axis] for axis in axes))
+            log = replace(log, channels={**log.channels, ELEVATION: elevation_deg})
         analysed[name] = _channel(log, name)
         if progress is not None:
             progress(done / len(names))
@@ -209,7 +207,7 @@ def analyse(
 
 
 def _of_rest(log: UniformLog) -> tuple[str, ...]:
-    """What is to be said of a log that is not of a sensor at rest."""
+    """Return what is to be said of a log that is not of a sensor at rest."""
     turn = turn_deg(log.channels, log.rate_hz, log.segments)
     if turn is None or turn < LEAST_TURN_DEG:
         return ()
@@ -243,17 +241,8 @@ def _channel(log: UniformLog, name: str) -> ChannelNoise:
     )
 
 
-def _elevation_axes(log: UniformLog) -> tuple[FloatArray, FloatArray] | None:
-    """The accelerometer's y and z, of one unit."""
-    for unit in ("g", "lsb"):
-        y, z = (log.channels.get(f"accel_{axis}_{unit}") for axis in "yz")
-        if y is not None and z is not None:
-            return y, z
-    return None
-
-
 def static_elevation_deg(accel_y: FloatArray, accel_z: FloatArray) -> FloatArray:
-    """(N,) elevation atan2(y, z) in degrees of a sensor at rest, without a jump at ±180°."""
+    """Return (N,) elevation atan2(y, z) in degrees of a sensor at rest, without a jump at ±180°."""
     middle_deg = float(np.degrees(np.arctan2(accel_y.mean(), accel_z.mean())))
     elevation_deg = np.arctan2(accel_y, accel_z)
     np.degrees(elevation_deg, out=elevation_deg)

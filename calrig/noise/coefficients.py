@@ -103,7 +103,7 @@ class CurveFits:
 
 
 def fit_curve(data: CurveData, theory: CurveTheory) -> CurveFits | None:
-    """Fits every combination of terms; None where none does."""
+    """Fit every combination of terms; None where none does."""
     sizes = range(1, min(len(KINDS), len(data.variance)) + 1)
     kinds = [chosen for size in sizes for chosen in combinations(range(len(KINDS)), size)]
     tried = [_fit(data, theory, chosen, ramp) for chosen in kinds for ramp in (False, True)]
@@ -120,7 +120,7 @@ def _cost(fit: CurveFit, excess: float) -> float:
 
 
 def _fit(data: CurveData, theory: CurveTheory, kinds: tuple[int, ...], ramp: bool) -> CurveFit | None:
-    """Fits log c; None where a kind vanishes, since the combination without it is another."""
+    """Fit log c; None where a kind vanishes, since the combination without it is another."""
     values, columns = data.variance, theory.variance[:, kinds]
     if not ramp:
         values = np.append(values, data.slope_per_s**2)
@@ -222,7 +222,7 @@ class Coefficients:
 
 
 def coefficients(curve: AllanCurve, unit: str, lines: Sequence[tuple[float, float]] = ()) -> Coefficients:
-    """The coefficients that a curve asks for.
+    """Return the coefficients that a curve asks for.
 
     A steady ramp is no noise: it is the slope of the log, where the noise would hardly leave one as steep.
 
@@ -253,7 +253,7 @@ def coefficients(curve: AllanCurve, unit: str, lines: Sequence[tuple[float, floa
 def _fits(
     curve: AllanCurve, used: IntArray, level: FloatArray, error: FloatArray
 ) -> tuple[CurveFits | None, IntArray]:
-    """Fits of the octaves `used`, and of which of them.
+    """Fit the octaves `used`; return the fits and which of them were fitted.
 
     Where no sum of these kinds explains them all, as few as it takes are left out: short ones, which the
     sensor's own filter bends, or long ones, where something drifts that is neither noise nor a steady ramp.
@@ -279,7 +279,7 @@ def _fits(
 def _named(
     found: CurveFits, slope_per_s: float, unit: str, explained_s: tuple[float, float], *, steady: bool
 ) -> Coefficients:
-    """The terms of the best fit that no other combination contests."""
+    """Return the terms of the best fit that no other combination contests."""
     best, scatter = found.best, math.sqrt(found.excess)
     values = [*np.sqrt(best.c), abs(slope_per_s)]
     stds = [*(0.5 * np.sqrt(best.c * np.diag(best.relative)) * scatter), best.slope_std * scatter]
@@ -296,14 +296,14 @@ def _named(
 
 
 def _bare_ramp(curve: AllanCurve, unit: str) -> Coefficient | None:
-    """The slope of a log without noise, unless it is the arithmetic's."""
+    """Return the slope of a log without noise, unless it is the arithmetic's."""
     std = math.sqrt(72.0) * curve.rounding * (curve.rate_hz / float(curve.lengths.max())) ** 2
     size = abs(curve.slope_per_s)
     return Coefficient(size, float(std), unit + UNITS[RAMP]) if size > 10.0 * std else None
 
 
 def _of_lines(curve: AllanCurve, lines: Sequence[tuple[float, float]]) -> FloatArray:
-    """(M,) Allan variance of sinusoids: A²·sin⁴(πfτ)/(m·sin(πfτ₀))²."""
+    """Return (M,) Allan variance of sinusoids: A²·sin⁴(πfτ)/(m·sin(πfτ₀))²."""
     total = np.zeros(len(curve.tau_s))
     for frequency_hz, amplitude in lines:
         edge = curve.factors * math.sin(math.pi * frequency_hz / curve.rate_hz)

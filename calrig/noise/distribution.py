@@ -46,14 +46,14 @@ def effective_sample_sizes(centred: FloatArray) -> tuple[float, float]:
 
 
 def _near(centred: FloatArray) -> FloatArray:
-    """Autocovariance up to half of `_PIECE`, from pieces spread over the log."""
+    """Return autocovariance up to half of `_PIECE`, from pieces spread over the log."""
     starts = np.linspace(0, len(centred) - _PIECE, _PIECES).astype(np.int64)
     covariance = sum(_autocovariance(centred[start : start + _PIECE], _PIECE // 2) for start in starts)
     return np.asarray(covariance / _PIECES, dtype=np.float64)
 
 
 def _autocovariance(x: FloatArray, lags: int) -> FloatArray:
-    """(lags,) Σ x[i]·x[i + j]/n, without taking the mean out again."""
+    """Return (lags,) Σ x[i]·x[i + j]/n, without taking the mean out again."""
     transform = rfft(x, next_fast_len(len(x) + lags, real=True))
     power = transform.real**2 + transform.imag**2
     covariance = irfft(power, next_fast_len(len(x) + lags, real=True))[:lags] / len(x)
@@ -107,7 +107,7 @@ class Distribution:
 
 
 def distribution_of(x: FloatArray) -> Distribution:
-    """The distribution of a channel's samples.
+    """Return the distribution of a channel's samples.
 
     Args:
         x: (N,) finite samples in order; gaps between them do not matter here.
@@ -192,7 +192,7 @@ def _rounded_gaussian(mean: float, std: float, step: float) -> tuple[float, floa
 
 
 def _skewness_score(skewness: float, n: float) -> float:
-    """Skewness of `n` samples as a standard normal one (D'Agostino 1970, Biometrika 57)."""
+    """Return skewness of `n` samples as a standard normal one (D'Agostino 1970, Biometrika 57)."""
     y = skewness * math.sqrt((n + 1.0) * (n + 3.0) / (6.0 * (n - 2.0)))
     beta = 3.0 * (n**2 + 27.0 * n - 70.0) * (n + 1.0) * (n + 3.0)
     beta /= (n - 2.0) * (n + 5.0) * (n + 7.0) * (n + 9.0)
@@ -215,7 +215,7 @@ def _kurtosis_score(kurtosis: float, n: float) -> float:
 
 
 def _histogram(x: FloatArray, std: float, step: float) -> tuple[FloatArray, FloatArray]:
-    """Bins of Freedman and Diaconis' width (1981), of whole steps, and no more than `MOST_BINS`."""
+    """Return bins of Freedman and Diaconis' width (1981), of whole steps, and no more than `MOST_BINS`."""
     low, high = float(x.min()), float(x.max())
     if std == 0.0:
         return np.array([low - 0.5, low + 0.5]), np.array([float(len(x))])

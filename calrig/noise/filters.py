@@ -19,7 +19,7 @@ from calrig.estimation.tuning import midpoint_rate_dps, tuned_noise
 from calrig.noise.allan import allan_curve
 from calrig.noise.coefficients import coefficients
 from calrig.noise.resampling import UniformLog, uniform_log
-from calrig.noise.units import unit_of
+from calrig.noise.units import accelerometer_channels, unit_of
 
 GYRO, ELEVATION = "gyro_x_dps", "elevation_deg"
 STARTS_AN_OCTAVE = 4
@@ -55,7 +55,7 @@ def study_filters(
     *,
     gyro_scale: float = 1.0,
 ) -> FilterStudy:
-    """Runs every filter over a log of a sensor that stands and is turned about its x axis.
+    """Run every filter over a log of a sensor that stands and is turned about its x axis.
 
     The tuned filter's noise is that of the log's own static intervals (`tuned_noise`).
 
@@ -69,8 +69,10 @@ def study_filters(
     Raises:
         ValueError: the log has no elevation, no rate or no sample; says what to do.
     """
-    y, z = _accelerometer(channels)
-    used = {"y": channels[y], "z": channels[z]}
+    axes = accelerometer_channels(channels)
+    if axes is None:
+        raise ValueError("the log has no accel_y and accel_z of one unit, from which the elevation comes")
+    used = dict(zip("yz", (channels[axis] for axis in axes), strict=True))
     if GYRO in channels:
         used[GYRO] = channels[GYRO]
     log = uniform_log(used, time_s, rate_hz)
@@ -92,7 +94,7 @@ def study_filters(
 
 
 def filters_document(study: FilterStudy) -> dict[str, Any]:
-    """What `calrig filters --json` prints; a number that is not known is None."""
+    """Return what `calrig filters --json` prints; a number that is not known is None."""
     comparison = study.comparison
     return {
         "rate_hz": study.rate_hz,
@@ -105,14 +107,6 @@ def filters_document(study: FilterStudy) -> dict[str, Any]:
     }
 
 
-def _accelerometer(channels: dict[str, FloatArray]) -> tuple[str, str]:
-    for unit in ("g", "lsb"):
-        y, z = f"accel_y_{unit}", f"accel_z_{unit}"
-        if y in channels and z in channels:
-            return y, z
-    raise ValueError("the log has no accel_y and accel_z of one unit, from which the elevation comes")
-
-
 def _angles(log: UniformLog) -> dict[str, FloatArray]:
     """Elevation, continuous within each segment, and the rate if there is one."""
     elevation = np.degrees(np.arctan2(log.channels["y"], log.channels["z"]))
@@ -123,7 +117,7 @@ def _angles(log: UniformLog) -> dict[str, FloatArray]:
 
 
 def _times(log: UniformLog) -> FloatArray:
-    """(N,) seconds since the first sample."""
+    """Return (N,) seconds since the first sample."""
     times = [
         start_s + np.arange(segment.stop - segment.start) / log.rate_hz
         for segment, start_s in zip(log.segments, log.start_s, strict=True)
@@ -132,7 +126,7 @@ def _times(log: UniformLog) -> FloatArray:
 
 
 def _at_rest(log: UniformLog) -> UniformLog:
-    """The log's static intervals as its segments."""
+    """Return the log's static intervals as its segments."""
     times, rate = _times(log), log.channels.get(GYRO)
     static = tuple(
         interval

@@ -117,12 +117,12 @@ def report(
     rate_hz: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Analyses a log and says what was found; arguments and errors as of `analyse`."""
+    """Analyse a log and report what was found; arguments and errors as of `analyse`."""
     return noise_document(analyse(channels, time_s, rate_hz, progress))
 
 
 def noise_document(noise: Noise) -> dict[str, Any]:
-    """What `calrig noise --json` prints; a number that is not known is None."""
+    """Return what `calrig noise --json` prints; a number that is not known is None."""
     return {
         "rate_hz": noise.rate_hz,
         "duration_s": noise.duration_s,
@@ -133,7 +133,7 @@ def noise_document(noise: Noise) -> dict[str, Any]:
 
 
 def said_first(warnings: Sequence[str], document: dict[str, Any]) -> dict[str, Any]:
-    """A document whose summary begins with what was said of the file it came from, as sentences."""
+    """Return a document whose summary begins with what was said of the file it came from, as sentences."""
     said = [f"{warning[0].upper()}{warning[1:]}." for warning in warnings]
     return {**document, "summary": [*said, *document["summary"]]}
 

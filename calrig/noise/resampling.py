@@ -26,7 +26,7 @@ WRAP_SLACK = 0.02
 RESTART_S = 0.5
 """Stamps that jitter step back by less."""
 RESTART_GAP = 1000
-"""Samples taken for missing where the clock began anew: more than any that are bridged."""
+"""Samples counted as missing where the clock restarted: more than any that are bridged."""
 REGULAR_SHARE = 0.7
 """Share of the steps within half of the median one; with less the samples arrive in clumps."""
 FILLED_SHARE, CLUMP = 0.2, 32
@@ -51,10 +51,10 @@ class Grid:
 
 
 def grid_of(time_s: FloatArray) -> Grid:
-    """Finds the uniform grid on which samples were taken.
+    """Find the uniform grid on which samples were taken.
 
     Args:
-        time_s: (N,) stamps in s as logged, N ≥ 2; they may jitter, clump, wrap, start anew and be NaN.
+        time_s: (N,) stamps in s as logged, N ≥ 2; they may jitter, clump, wrap, restart and be NaN.
 
     Raises:
         ValueError: the stamps tell of no rate, since they stand still or are not there.
@@ -95,7 +95,7 @@ def _known(time_s: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
 
 
 def _forward(time_s: FloatArray) -> tuple[FloatArray, BoolArray, tuple[str, ...]]:
-    """Stamps without wraps and restarts; (N − 1,) where the clock began anew."""
+    """Return stamps without wraps and restarts; (N − 1,) where the clock restarted."""
     steps = np.diff(time_s)
     back = np.flatnonzero(steps < -RESTART_S)
     restarts = np.zeros(len(steps), dtype=np.bool_)
@@ -137,7 +137,7 @@ def _period(time_s: FloatArray, steps: FloatArray) -> tuple[float, bool]:
 
 
 def _missing(time_s: FloatArray, steps: FloatArray, period_s: float, clumps: bool) -> IntArray:
-    """(N − 1,) how many samples are missing between each two.
+    """Return (N − 1,) how many samples are missing between each two.
 
     A stamp may be late but hardly early, so how far time is ahead of the number of samples is the least of
     what a few say. Samples are missing where that steps up.
@@ -220,7 +220,7 @@ class UniformLog:
 def uniform_log(
     channels: dict[str, FloatArray], time_s: FloatArray | None, rate_hz: float | None
 ) -> UniformLog:
-    """Puts a log's samples on a uniform grid.
+    """Put a log's samples on a uniform grid.
 
     A clean log comes back as it is, without a copy.
 
@@ -256,7 +256,7 @@ def uniform_log(
 
 
 def _with_values(channels: dict[str, FloatArray], notes: list[str]) -> dict[str, FloatArray]:
-    """The channels that have values; a slow one gets its values between those measured."""
+    """Return the channels that have values; a slow one gets its values between those measured."""
     if len({len(values) for values in channels.values()}) != 1:
         raise ValueError("a log needs channels, all of one length")
     kept: dict[str, FloatArray] = {}
@@ -281,7 +281,7 @@ def _with_values(channels: dict[str, FloatArray], notes: list[str]) -> dict[str,
 
 
 def _grid(time_s: FloatArray | None, rate_hz: float | None, count: int) -> Grid:
-    """The grid of the samples; what `rate_hz` says goes before what the stamps do."""
+    """Return the grid of the samples; what `rate_hz` says goes before what the stamps do."""
     if time_s is not None and len(time_s) != count:
         raise ValueError(f"time_s has {len(time_s)} values and the channels {count}")
     told, why = None, "the log has no time_s"
@@ -308,7 +308,7 @@ def _grid(time_s: FloatArray | None, rate_hz: float | None, count: int) -> Grid:
 
 
 def _not_in_shreds(grid: Grid) -> Grid:
-    """The grid, or its samples side by side where its pieces would be too short to say anything."""
+    """Return the grid, or its samples side by side where its pieces would be too short to say anything."""
     if grid.place is None or _bridged(np.diff(grid.place) - 1).any():
         return grid
     count = len(grid.place)

@@ -44,7 +44,7 @@ _STEEP, _BLOCK = 768, 256
 
 
 def candidates(power: FloatArray, significance: float) -> IntArray:
-    """Bins beside which a significant peak may lie, highest over a rough background first.
+    """Return bins beside which a significant peak may lie, highest over a rough background first.
 
     Two neighbouring bins hold at least 0.81 of a sinusoid's power. Where the background is known roughly
     only, at the lowest bins, they need less to be looked at.
@@ -82,12 +82,12 @@ def rough_background(power: FloatArray, averaged: int = 1) -> FloatArray:
 
 
 def _median(averaged: int) -> float:
-    """Median of a mean of exponentials of mean 1."""
+    """Return median of a mean of exponentials of mean 1."""
     return float(gammaincinv(averaged, 0.5)) / averaged
 
 
 def excess(power: FloatArray, k: int, height: float, averaged: int) -> tuple[float, float]:
-    """How a peak compares with its surroundings.
+    """Return how a peak compares with its surroundings.
 
     The background is the power law, or from 48 bins on its parabola on a double logarithmic scale, that fits
     the bins around best.
@@ -168,7 +168,7 @@ class Gridded:
     scale: float
 
     def transformed(self) -> tuple[FloatArray, FloatArray]:
-        """What is transformed, and its power.
+        """Return what is transformed, and its power.
 
         Returns:
             (rows, width) tapered samples, and (fast//2 + 1,) |transform|²: a sinusoid of amplitude A on a bin
@@ -181,11 +181,11 @@ class Gridded:
         return windowed, power
 
     def sharpen(self, windowed: FloatArray, bin_: float) -> tuple[float, float]:
-        """The highest peak within one bin of `bin_`: where, in bins, and its power."""
+        """Return the highest peak within one bin of `bin_`: where, in bins, and its power."""
         width, step = windowed.shape[1], 2.0 * np.pi / self.fast
         middle = (np.arange(_ROWS) + 0.5) * width * step
         reach = 1.0
-        for _ in range(2):  # rows are demodulated anew: within a row, the middle stands for all of it
+        for _ in range(2):  # rows are demodulated again: within a row, the middle stands for all of it
             rows, offset = _demodulated(windowed, bin_ * step), 0.0
             for _ in range(_ZOOMS):
                 offsets = offset + reach * _ZOOM
@@ -197,7 +197,7 @@ class Gridded:
         return bin_, float(np.abs(_demodulated(windowed, bin_ * step).sum()) ** 2)
 
     def take_out(self, bin_: float) -> complex:
-        """Takes the sinusoid Re(c·e^(iωt)) of that frequency out, by least squares; returns c."""
+        """Subtract the sinusoid Re(c·e^(iωt)) of that frequency, by least squares; return c."""
         omega = 2.0 * np.pi * bin_ / self.fast
         total = float(self.weight.sum())
         # the samples are ½(c·e^{iωt} + c̄·e^{−iωt}): near 0 and Nyquist, and over gaps, the second half counts
@@ -212,7 +212,7 @@ class Gridded:
         return c
 
     def put_in(self, bin_: float, c: complex) -> None:
-        """Adds the sinusoid Re(c·e^(iωt)) to the samples; what lies in the gaps stays as it is."""
+        """Add the sinusoid Re(c·e^(iωt)) to the samples; what lies in the gaps stays as it is."""
         rows, width = self.y.shape
         omega = 2.0 * np.pi * bin_ / self.fast
         cosine, sine = np.cos(omega * np.arange(width)), np.sin(omega * np.arange(width))
@@ -223,7 +223,7 @@ class Gridded:
 
 
 def lay_out(x: FloatArray, rate_hz: float, segments: Sequence[slice], start_s: Sequence[float]) -> Gridded:
-    """Puts a log on its grid.
+    """Put a log on its grid.
 
     Of a log with gaps that would make the grid sparse and large, the segment with most samples is taken.
 
@@ -269,14 +269,14 @@ def _dense_segment(starts: IntArray, lengths: IntArray) -> slice:
 
 
 def _straighten(flat: FloatArray) -> None:
-    """Takes the straight line of least squares out, in place."""
+    """Subtract the least-squares line, in place."""
     t = np.linspace(-1.0, 1.0, len(flat))
     flat -= flat.mean()
     flat -= t * (float(t @ flat) / float(t @ t))
 
 
 def _fill(y: FloatArray, weight: FloatArray, parts: Sequence[slice]) -> None:
-    """Draws the slow course of the log through its gaps, in place: smoothly through its spans' means."""
+    """Draw the slow course of the log through its gaps, in place: smoothly through its spans' means."""
     count = parts[-1].stop
     edges = np.linspace(0, count, _SPANS + 1).astype(np.int64)[:-1]
     mass = np.add.reduceat(weight[:count], edges)
@@ -300,7 +300,7 @@ def _tukey(taper: FloatArray) -> None:
 
 
 def _demodulated(x: FloatArray, omega: float) -> ComplexArray:
-    """(rows,) Σ x·e^{−iωt} over each row."""
+    """Return (rows,) Σ x·e^{−iωt} over each row."""
     rows, width = x.shape
     angle = omega * np.arange(width)
     sums = x @ np.cos(angle) - 1j * (x @ np.sin(angle))
@@ -342,10 +342,10 @@ class Sinusoid:
 
 
 def take_out_steady(grid: Gridded, band: float) -> tuple[list[Sinusoid], FloatArray]:
-    """Takes significant sinusoids out, strongest first, until there is none.
+    """Subtract significant sinusoids, strongest first, until none is left.
 
     Without gaps all that are apart are taken at once. Over gaps a sidelobe of one may be higher than another,
-    or two together lead astray: one is taken, then each is put back and looked for anew beside the others
+    or two together lead astray: one is taken, then each is put back and searched for again with the others
     (Li & Stoica's RELAX, IEEE Trans. SP 44, 1996), where the log is not so long that this takes minutes.
 
     Args:
@@ -373,7 +373,7 @@ def _taken_out(grid: Gridded, peaks: list[tuple[float, float]]) -> list[Sinusoid
 
 
 def _relaxed(grid: Gridded, found: list[Sinusoid]) -> list[Sinusoid]:
-    """Each sinusoid put back and taken out anew; one that does not stand out any more stays in."""
+    """Return each sinusoid put back and taken out again; one that does not stand out any more stays in."""
     for one in list(found):
         grid.put_in(one.bin_, one.c)
         windowed, power = grid.transformed()
@@ -498,7 +498,7 @@ def _wide(grid: Gridded, power: FloatArray, band_hz: float) -> list[_Tone]:
 def _from_band(
     grid: Gridded, power: FloatArray, k: int, bins: int, background: float, p_value: float
 ) -> _Tone:
-    """The tone whose power fills the band `k` and its neighbours (Parseval's relation)."""
+    """Return the tone whose power fills the band `k` and its neighbours (Parseval's relation)."""
     first, bin_hz = (k - 1) * bins, grid.rate_hz / grid.fast
     surplus = power[first : first + 3 * bins] - background
     middle = float(surplus @ np.arange(3 * bins) / surplus.sum())

@@ -88,7 +88,7 @@ def psd_of(x: FloatArray, rate_hz: float, segments: Sequence[slice]) -> Psd:
 
 
 def _piece(lengths: Sequence[int]) -> int:
-    """Samples in a piece; 0 where there is none of `SHORTEST`."""
+    """Return samples in a piece; 0 where there is none of `SHORTEST`."""
     best, most = 0, 0
     size = LONGEST
     while size >= SHORTEST:
@@ -106,7 +106,7 @@ def _pieces(length: int, size: int) -> int:
 
 
 def psd_slope(psd: Psd, lines_hz: Sequence[float] = ()) -> PsdSlope | None:
-    """The slope of log density over log frequency, every octave counting alike.
+    """Return the slope of log density over log frequency, every octave counting alike.
 
     The bins are taken together in `GROUPS_PER_OCTAVE` groups an octave, each by the median of its logarithms,
     freed of the bias of the logarithm of a chi-square; a line is left out by the bins around it and cannot
@@ -153,7 +153,7 @@ def _group(log_f: FloatArray, log_density: FloatArray, free: float) -> tuple[flo
 
 
 def _straight_line(x: FloatArray, y: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Slope and its standard error; what the variances do not explain is a variance common to all.
+    """Return slope and its standard error; what the variances do not explain is a variance common to all.
 
     Paule & Mandel, J. Res. NBS 87, 1982.
     """

@@ -53,7 +53,7 @@ def temperature_of(
     segments: Sequence[slice],
     start_s: Sequence[float],
 ) -> Temperature | None:
-    """The slope of a channel over temperature.
+    """Return the slope of a channel over temperature.
 
     Args:
         x: (N,) finite samples.
@@ -93,7 +93,7 @@ def _times(
     segments: Sequence[slice],
     start_s: Sequence[float],
 ) -> FloatArray:
-    """(parts,) when the middle sample of each part was taken, in parts of the log's mean length."""
+    """Return (parts,) when the middle sample of each part was taken, in parts of the log's mean length."""
     middle = (bounds[1:] + bounds[:-1]) // 2
     first = np.array([segment.start for segment in segments])
     segment = np.searchsorted(first, middle, side="right") - 1
@@ -102,7 +102,7 @@ def _times(
 
 
 def _variance(rest: FloatArray, columns: FloatArray, slope_of: FloatArray, t: FloatArray) -> float:
-    """Variance of the slope under white noise and an autoregression, over their shares and its times.
+    """Return variance of the slope under white noise and an autoregression, over their shares and its times.
 
     Args:
         rest: (parts,) residuals of least squares.

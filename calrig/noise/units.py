@@ -7,8 +7,10 @@ annex C): N in °/s·√s is 60·N in °/√h, N in g·√s is 60·9.80665·N in
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 
-STANDARD_GRAVITY_MPS2 = 9.80665
+from calrig.estimation.angles import STANDARD_GRAVITY_MPS2
+
 _UNITS = {"g": "g", "dps": "°/s", "lsb": "LSB", "deg": "°", "c": "°C"}
 _PER_HOUR, _ROOT_HOUR = 3600.0, 60.0
 
@@ -16,6 +18,15 @@ _PER_HOUR, _ROOT_HOUR = 3600.0, 60.0
 def unit_of(channel: str) -> str:
     """The unit that a channel's name ends in, as a person writes it; empty for one that is not known."""
     return _UNITS.get(channel.rpartition("_")[2], "")
+
+
+def accelerometer_channels(names: Container[str], axes: str = "yz") -> list[str] | None:
+    """Return the channels of an accelerometer's axes, all of one unit; None where one is missing."""
+    for unit in ("g", "lsb"):
+        found = [f"accel_{axis}_{unit}" for axis in axes]
+        if all(name in names for name in found):
+            return found
+    return None
 
 
 def quantity(value: float, unit: str) -> str:
@@ -31,7 +42,7 @@ def white_density(channel: str, n: float) -> str:
 
 
 def white_random_walk(channel: str, n: float) -> str | None:
-    """What integrating that noise wanders by, °/√h or m/s/√h; None where an integral means nothing."""
+    """Return what integrating that noise wanders by, °/√h or m/s/√h; None where an integral means nothing."""
     if channel.endswith("_dps"):
         return quantity(_ROOT_HOUR * n, "°/√h")
     if channel.endswith("_g"):
@@ -47,6 +58,6 @@ def bias_instability(channel: str, b: float) -> str:
 
 
 def level(channel: str, value: float) -> str:
-    """A value of the channel, small ones of g in mg."""
+    """Return a value of the channel, small ones of g in mg."""
     unit = unit_of(channel)
     return quantity(1e3 * value, "mg") if unit == "g" and abs(value) < 0.1 else quantity(value, unit)

@@ -9,8 +9,9 @@ import pytest
 from posed import posed
 
 from calrig.calibration.diagnosis.candidates import candidates_of
-from calrig.calibration.diagnosis.held_out import FOLDS, CrossValidation, cross_validate, folds_of
+from calrig.calibration.diagnosis.held_out import FOLDS, CrossValidation, cross_validate, errors_deg, folds_of
 from calrig.calibration.line import rms
+from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import Responses, responses_of
 
 FIRST = 0
@@ -49,3 +50,15 @@ def test_every_pose_is_held_out_once_by_a_fold_that_has_both_approaches() -> Non
     assert np.ptp(np.bincount(fold)) <= 1
     for k in range(FOLDS):
         assert {-1.0, 1.0} <= set(r.approach[fold == k])
+
+
+def test_errors_of_held_out_poses_are_of_elevation_not_of_reading() -> None:
+    """A reading of 0.8·θ + 1° with an error of 0.1° stands for an elevation that is 0.125° off."""
+    theta_deg = np.random.default_rng(3).uniform(-60.0, 60.0, 20)
+    readings_deg = 0.8 * theta_deg + 1.0
+    r = responses_of([posed(target_deg=theta_deg, reading_deg=readings_deg)])
+    beta = fit(r, r.base).beta
+    values = r.values.copy()
+    values[5, 0] += 0.1
+    errors = errors_deg(replace(r, values=values), (), beta, np.array([4, 5]))
+    assert errors == pytest.approx([0.0, 0.125], abs=1e-6)

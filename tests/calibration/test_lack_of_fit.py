@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from posed import posed
+from scipy.stats import f
 
 from calrig.calibration.diagnosis.lack_of_fit import LEVEL, LackOfFit, lack_of_fit, warning_of
 
@@ -14,7 +15,12 @@ APPROACH = np.repeat([1, -1, 1, -1], len(SWEEP_DEG))
 NOISE_DEG = 0.02
 
 
-def held(residual_deg: np.ndarray, *, targets_deg: np.ndarray = TARGETS_DEG, dwell_deg: float | None = None):
+def held(
+    residual_deg: np.ndarray,
+    *,
+    targets_deg: np.ndarray = TARGETS_DEG,
+    dwell_deg: float | np.ndarray | None = None,
+):
     """A residual after bias and scale, held against the pure error."""
     line = np.polyfit(targets_deg, residual_deg, 1)
     left_deg = residual_deg - np.polyval(line, targets_deg)
@@ -89,3 +95,37 @@ def test_where_neither_dwells_nor_revisits_tell_the_pure_error_nothing_is_claime
     jittered = TARGETS_DEG + np.random.default_rng(6).uniform(-2.0, 2.0, len(TARGETS_DEG))
     lack = held(noise(7), targets_deg=jittered)
     assert (lack.pure, lack.p_value, lack.rejects) == (None, None, False)
+
+
+def test_the_residual_has_a_degree_of_freedom_less_for_each_parameter() -> None:
+    residual_deg = noise(8)
+    line = np.polyfit(TARGETS_DEG, residual_deg, 1)
+    left_deg = residual_deg - np.polyval(line, TARGETS_DEG)
+    residual = held(residual_deg).residual
+    assert residual.freedom == len(TARGETS_DEG) - 2
+    assert residual.std_deg == pytest.approx(np.sqrt(np.sum(left_deg**2) / (len(TARGETS_DEG) - 2)))
+
+
+def test_the_pure_error_of_revisits_is_known_by_the_freedom_that_is_said() -> None:
+    """Of a variance with ν degrees of freedom 2/ν is the squared coefficient of variation."""
+    pure = [lack.pure for lack in (held(noise(seed)) for seed in range(500)) if lack.pure is not None]
+    variances = np.array([one.std_deg**2 for one in pure])
+    expected = 2.0 * variances.mean() ** 2 / variances.var()
+    assert np.mean([one.freedom for one in pure]) == pytest.approx(expected, rel=0.25)
+
+
+def test_the_p_value_is_that_of_the_residuals_variance_over_the_pure_errors() -> None:
+    lack = held(noise(9) + 0.2 * drift())
+    assert lack.pure is not None
+    ratio = (lack.residual.std_deg / lack.pure.std_deg) ** 2
+    assert lack.f == pytest.approx(ratio)
+    assert lack.freedom[1] == lack.pure.freedom
+    assert lack.p_value == pytest.approx(f.sf(ratio, *lack.freedom))
+
+
+def test_dwells_that_know_their_error_by_ten_degrees_of_freedom_each_know_it_by_all_of_them() -> None:
+    dwell_deg = NOISE_DEG * np.sqrt(np.random.default_rng(10).chisquare(10, len(TARGETS_DEG)) / 10.0)
+    dwell = held(noise(10), dwell_deg=dwell_deg).dwell
+    assert dwell is not None
+    assert dwell.std_deg == pytest.approx(NOISE_DEG, rel=0.05)
+    assert dwell.freedom == pytest.approx(10 * len(TARGETS_DEG), rel=0.4)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from studies.blind.physics import Cause, Noise, measure
 
+from calrig.calibration.diagnosis.candidates import candidates_of
 from calrig.calibration.diagnosis.conclusion import conclude
 from calrig.calibration.diagnosis.report import partial_residuals
 from calrig.calibration.diagnosis.selection import Findings
@@ -153,3 +154,15 @@ def test_of_pairs_of_runs_that_do_not_differ_few_are_accused(noise):
         pair = [run_of(AS_IT_WAS, 1000 + 2 * seed + k, noise) for k in range(2)]
         found.append(diagnose(pair, bootstraps=199, cross_fit=False).findings)
     assert sum(bool(one.found) for one in found) <= 3  # at 2 % more than three of 24 are one case in 1,000
+
+
+def test_the_choice_of_the_runs_costs_two_parameters_and_a_bias_that_changes_one_in_all() -> None:
+    """Zhang & Siegmund (2007): one of n change points costs 2·log n."""
+    single = {
+        (c.changed is not None, c.name, c.shape.form): c
+        for c in candidates_of(responses_of([run_of(AS_IT_WAS, 1), run_of(AS_IT_WAS, 2)]))
+        if c.beside is None and not c.shape.scanned
+    }
+    for form in (("backlash", ""), ("accelerometer_offset", "both"), ("stage_eccentricity", "")):
+        assert single[True, *form].parameters == single[False, *form].parameters + 2
+    assert single[True, "mount_change", ""].parameters == 1

@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from posed import posed
+from scipy.signal import lfilter
 from studies.blind.causes import eccentricity
 from studies.blind.cells import Cell
 
 from calrig.calibration.diagnosis.candidates import documented_forms
 from calrig.calibration.diagnosis.report import covariance_of
 from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.regression.noise_model import fit, fits, noise_of
 from calrig.calibration.regression.responses import responses_of
 from calrig.calibration.regression.terms import amplitude_and_phase
 
@@ -31,6 +34,26 @@ def test_the_amplitude_of_an_eccentricity_is_off_by_what_its_standard_error_says
         pulls.append((stated["amplitude_deg"]["value"] - 0.3) / stated["amplitude_deg"]["std"])
     # of 60 pulls the root mean square scatters by 0.09
     assert math.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.3)
+
+
+def test_errors_are_widened_by_what_refits_of_correlated_noise_scatter_more_than_they_state():
+    """Twenty poses of one channel: a bias in noise of correlation 0.8, drawn here by its recursion."""
+    rng = np.random.default_rng(0)
+    theta_deg = rng.uniform(-60.0, 60.0, 20)
+    noise_deg = lfilter([1.0], [1.0, -0.8], 0.02 * rng.standard_normal(120))[100:]
+    times_s = 4.0 * np.arange(20)
+    r = responses_of([posed(target_deg=theta_deg, reading_deg=theta_deg + noise_deg, time_s=times_s)])
+    fitted = fit(r, r.base)
+    noise = noise_of(fitted.residuals, r, r.base.shape[2], unbiased=True)
+    size_deg, rho = 1.0 / noise.rotation[0, 0], noise.rho[0]
+    innovations = size_deg * math.sqrt(1.0 - rho**2) * rng.standard_normal((1000, 400))
+    drawn_deg = lfilter([1.0], [1.0, -rho], innovations)[:, -20:, None]
+    again = fits(r, drawn_deg, r.base[None])
+    more = again.beta.var(axis=0) / again.covariance.mean(axis=0).diagonal()
+    bias = r.base_names.index("reading.bias")
+    assert more[bias] > 3.0
+    widened = covariance_of(r, r.base, fitted).diagonal() / fitted.covariance.diagonal()
+    assert widened[bias] == pytest.approx(more[bias], rel=0.2)
 
 
 def test_what_lies_across_a_wave_lengthens_it_and_its_amplitude_is_no_better_known():

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import Filtering, Pose
-from calrig.calibration.regression.motion import stretches_deg
+from calrig.calibration.regression.motion import behind, stretches_deg
 from calrig.calibration.regression.responses import responses_of
 from calrig.calibration.results.correction import effects_on_reading_deg
 from calrig.calibration.results.pose_errors import circumstances
@@ -161,3 +161,27 @@ def test_what_the_gyros_bias_of_a_pass_is_wrong_by_is_no_noise_of_its_moves():
     assert left_deg.std() < 1.3 * GYRO_NOISE_DEG
     standing = responses_of([[replace(pose, settle_s=1.0) for pose in poses]])
     assert standing.base_names.count("gyro_move.bias") == 1
+
+
+def test_what_creeps_behind_a_sweep_is_a_first_order_lag_integrated_step_by_step():
+    """A dwell, five segments of 1.2 s at 5 °/s, a dwell: the mean of each, and the growth between them."""
+    pace_dps, lag_s, lasts_s = 5.0, 0.8, 1.2
+    fine_s = np.arange(-2.0, 20.0, 1e-4)
+    begins_s, ends_s = 3.0, 11.0
+    stage_deg = pace_dps * (np.clip(fine_s, begins_s, ends_s) - begins_s)
+    decay = np.exp(-1e-4 / lag_s)
+    creep_deg = lfilter([decay], [1.0, -decay], np.diff(stage_deg, prepend=stage_deg[0]))
+    time_s = np.array([1.0, 4.0, 5.5, 7.0, 8.5, 10.0, 13.0])
+    turning = np.array([False, True, True, True, True, True, False])
+    theta_deg = np.interp(time_s, fine_s, stage_deg)
+
+    found = behind(time_s, theta_deg, np.where(turning, pace_dps * lasts_s, 0.0), time_s == 1.0, lag_s)
+
+    def at(moment_s):
+        return np.interp(moment_s, fine_s, creep_deg)
+
+    mean_deg = [creep_deg[np.abs(fine_s - t) <= lasts_s / 2.0].mean() for t in time_s]
+    from_s = np.where(turning, time_s, time_s + lasts_s / 2.0)[:-1]
+    to_s = np.where(turning, time_s, time_s - lasts_s / 2.0)[1:]
+    np.testing.assert_allclose(found.mean_deg, mean_deg, atol=2e-3)
+    np.testing.assert_allclose(found.grown_deg, [0.0, *(at(to_s) - at(from_s))], atol=2e-3)

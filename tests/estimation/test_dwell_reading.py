@@ -163,6 +163,21 @@ def test_the_spectrum_of_a_known_process_is_found(phi):
     assert math.sqrt(long_run) == pytest.approx(1.0 / (1.0 - phi), rel=0.08)
 
 
+@pytest.mark.parametrize(("phi", "order"), [(0.0, 0), (0.8, 1)])
+def test_the_variance_is_enlarged_for_what_was_estimated_from_the_same_samples(phi, order):
+    """By hand: two parameters of the line and one for each order; n_eff/(n_eff − 2) for the line itself."""
+    n = 60
+    x = lfilter([1.0], [1.0, -phi], np.random.default_rng(3).standard_normal(n + 200))[200:]
+    found = fit_autoregression(x)
+    assert len(found.coefficients) == order + 1
+    a1 = found.coefficients[1] if order else 0.0
+    t = np.arange(n)
+    residual = x - np.polyval(np.polyfit(t, x, 1), t)
+    innovation = residual @ residual * (1.0 - a1**2) / (n - 2 - order)
+    independent = min(max(n * (1.0 + a1) / (1.0 - a1), 4.0), n)
+    assert found.variance == pytest.approx(innovation * independent / (independent - 2.0))
+
+
 def test_a_perfectly_predictable_channel_does_not_break_the_spectrum():
     square = np.tile([0.01, -0.01], 200)
     assert fit_autoregression(square).density(np.zeros(1))[0] < 1e-6

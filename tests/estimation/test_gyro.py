@@ -189,3 +189,24 @@ def test_one_move_gives_a_scale_without_an_error():
     found = gyro_scale([10.0, np.nan], [9.8, 9.0])
     assert found is not None
     assert (found.scale, found.scale_std) == (pytest.approx(10.0 / 9.8), None)
+
+
+@pytest.mark.parametrize("moves", [2, 3, 9])
+def test_the_error_of_the_gyro_scale_is_that_of_a_regression_through_the_origin(moves):
+    rng = np.random.default_rng(7)
+    felt_deg = rng.uniform(-40.0, 40.0, moves)
+    turned_deg = 1.02 * felt_deg + rng.normal(0.0, 0.1, moves)
+    (slope,), (power,), _, _ = np.linalg.lstsq(felt_deg[:, None], turned_deg, rcond=None)
+    found = gyro_scale(turned_deg, felt_deg)
+    assert found.scale == pytest.approx(slope)
+    assert found.scale_std == pytest.approx(math.sqrt(power / (moves - 1) / (felt_deg @ felt_deg)))
+
+
+@pytest.mark.parametrize(("standard_errors", "is_left_out"), [(4.0, False), (6.0, True)])
+def test_a_block_is_an_outlier_from_five_standard_errors_of_its_mean_on(standard_errors, is_left_out):
+    """Twenty blocks of 100 samples of white noise, each without a mean of its own but one."""
+    blocks = np.random.default_rng(8).standard_normal((20, 100))
+    blocks -= blocks.mean(axis=1, keepdims=True)
+    blocks[11] += standard_errors / math.sqrt(100.0)
+    found_dps = dwell_bias(np.column_stack([blocks.ravel()] * 3)).bias_dps[0]
+    assert found_dps == pytest.approx(0.0 if is_left_out else standard_errors / 10.0 / 20.0, abs=1e-12)

@@ -8,7 +8,7 @@ import filterpy.kalman
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import kstest
+from scipy.stats import kstest, norm
 from simulated_moves import RATE_HZ, WHITE_ELEVATION, WHITE_GYRO, moves_log
 
 from calrig.estimation.innovation import innovation_check, normalised_innovations
@@ -101,6 +101,16 @@ def test_a_chips_low_pass_colours_the_samples_and_not_the_filter():
     assert check.per_sample.variance_ratio == pytest.approx(1.0 / 3.0, rel=0.1)
     assert check.per_sample.white_p_value < 1e-6
     assert "fits where it acts" in check.sentence
+
+
+def test_the_variance_of_coloured_innovations_is_known_by_fewer_degrees_of_freedom():
+    """Var(mean y²) = 2·Σρ²/n over all lags (Bartlett); of an autoregression of 0.5, Σρ² = 5/3."""
+    z, u = as_assumed()
+    coloured = lfilter([math.sqrt(0.75)], [1.0, -0.5], 1.02 * z)
+    y = normalised_innovations(coloured, u, DT_S, NOISE)
+    found = innovation_check(coloured, u, DT_S, NOISE).per_sample
+    excess = math.log(float(y @ y) / len(y)) / math.sqrt(2.0 * (5.0 / 3.0) / len(y))
+    assert norm.isf(found.variance_p_value / 2.0) == pytest.approx(abs(excess), rel=0.05)
 
 
 @pytest.mark.parametrize("frequency_hz", [0.3, 1.3, 4.1, 41.0])

@@ -142,3 +142,23 @@ def test_one_move_has_a_lag_without_an_error():
     found = transient(log.time_s, log.true_deg, references(log))
     assert found.n_moves == 1
     assert found.lag_std_ms is None
+
+
+def test_the_error_of_the_lag_is_that_of_the_mean_over_the_moves():
+    """Three equal moves, followed 10, 20 and 60 ms late."""
+    time_s = np.arange(0.0, 12.0, 0.005)
+    delays_s, moves, angle_deg = [0.01, 0.02, 0.06], [], np.zeros(len(time_s))
+    for k, delay_s in enumerate(delays_s):
+        begin, end = 800 * k, 800 * (k + 1)
+        own_s = time_s[begin:end] - time_s[begin]
+        moves.append(MoveReference(slice(begin, end), time_s[begin:end], 10.0 * smooth_step(own_s - 1.0)))
+        angle_deg[begin:end] = 10.0 * smooth_step(own_s - 1.0 - delay_s)
+    found = transient(time_s, angle_deg, moves)
+    assert found.lag_ms == pytest.approx(30.0, abs=0.1)
+    assert found.lag_std_ms == pytest.approx(1e3 * np.std(delays_s, ddof=1) / np.sqrt(3.0), rel=0.01)
+
+
+def smooth_step(time_s):
+    """From 0 to 1 within one second, with a level begin and end."""
+    share = np.clip(time_s, 0.0, 1.0)
+    return share - np.sin(2.0 * np.pi * share) / (2.0 * np.pi)

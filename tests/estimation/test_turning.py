@@ -157,3 +157,20 @@ def test_a_turn_from_mean_to_mean_scatters_as_is_said():
     turns_deg, stds_deg = np.array(found).T
     assert turns_deg.mean() == pytest.approx(8.0 - angle_deg[time_s <= 2.0].mean(), abs=0.003)
     assert turns_deg.std() == pytest.approx(stds_deg.mean(), rel=0.12)
+
+
+def test_the_walk_between_the_means_of_two_adjacent_spans_scatters_as_is_said():
+    """With a known bias, white noise alone is left, and each span weighs its own by a third."""
+    rng = np.random.default_rng(9)
+    time_s = np.arange(0.0, 6.0, 0.01)
+    noise_dps = rng.normal(0.0, 0.05, (800, len(time_s)))
+    found = [turn_between(time_s, one, (0.0, 3.0), (3.0, 6.0), 0.0) for one in noise_dps]
+    turns_deg, stds_deg = np.array(found).T
+    assert turns_deg.std() == pytest.approx(stds_deg.mean(), rel=0.1)
+
+
+def test_the_boards_time_is_absolute():
+    host_s = np.arange(100.0, 160.0)
+    clocks = clock_line(np.column_stack([host_s, 7.0 + 1.001 * host_s]))
+    np.testing.assert_allclose(clocks.board_s(host_s), 7.0 + 1.001 * host_s, atol=1e-6)
+    assert clocks.host_s(7.0 + 1.001 * 130.0) == pytest.approx(130.0)

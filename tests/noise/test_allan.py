@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 from support import DATA
 
-from calrig.noise.allan import CONFIDENCE, MIN_CLUSTERS, allan_curve
+from calrig.noise.allan import CONFIDENCE, KINDS, MIN_CLUSTERS, allan_curve, theory_of
 from calrig.noise.resampling import UniformLog, uniform_log
 
 
@@ -209,3 +209,14 @@ def test_a_log_with_378_gaps():
     curve = allan_curve(log, "accel_z_lsb")
     assert curve.tau_s[-1] <= max(part.stop - part.start for part in log.segments) / log.rate_hz / 2.0
     assert curve.adf_slope == pytest.approx(-0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(("kind", "is_summed"), [("white", False), ("random_walk", True)])
+def test_the_slope_that_noise_leaves_varies_as_straight_lines_through_it_do(kind, is_summed):
+    """Of 2,000 logs of coefficient 1 at 10 Hz, simulated; for the slope, noise in steps of 0.1 s."""
+    drawn = np.random.default_rng(9).standard_normal((256, 2000)) * math.sqrt(10.0)
+    if is_summed:
+        drawn = np.cumsum(drawn, axis=0) / 10.0
+    slopes = np.polyfit(np.arange(256) / 10.0, drawn, 1)[0]
+    curve = allan_curve(uniform_log({"x": drawn[:, 0]}, None, 10.0), "x")
+    assert theory_of(curve, np.arange(4)).slope[KINDS.index(kind)] == pytest.approx(slopes.var(), rel=0.15)

@@ -125,6 +125,12 @@ def test_each_has_its_unit_and_is_what_the_curve_is_made_of(term, unit, sigma_at
     assert curve.deviation[curve.tau_s == 1.0] == pytest.approx(found[term].value * sigma_at_1_s, rel=0.1)
 
 
+def test_the_error_of_white_noise_comes_near_the_least_that_any_estimate_has():
+    """N of n samples can be known to N/√(2n) at best (Cramér and Rao); octaves of τ lose little of that."""
+    found = named(found_in(white(np.random.default_rng(0), 1.0, 4096)))["white"]
+    assert 1.0 <= found.std / (found.value / math.sqrt(2.0 * 4096)) <= 1.25
+
+
 def test_a_ramp_without_noise_is_exact():
     ramp_only = named(found_in(3.0 - 0.0123 * TIME_S))
     assert list(ramp_only) == ["ramp"]

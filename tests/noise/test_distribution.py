@@ -58,6 +58,12 @@ def test_what_is_not_gaussian_is_said_not_to_be(draw):
     assert found(x).gaussian is False
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_of_independent_samples_the_p_value_is_scipys(seed):
+    x = np.random.default_rng(seed).standard_t(8, 200)
+    assert np.log(found(x).p_value) == pytest.approx(np.log(stats.normaltest(x).pvalue), rel=0.01)
+
+
 def test_steps_larger_than_the_noise_leave_it_open():
     told = found(rounded(np.random.default_rng(5), 5.0))
     assert (told.gaussian, told.p_value, told.step) == (None, None, pytest.approx(5.0))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.signal import welch
+from scipy.stats import linregress
 
-from calrig.noise.spectrum import psd_of, psd_slope
+from calrig.noise.spectrum import Psd, psd_of, psd_slope
 
 RATE_HZ = 100.0
 
@@ -88,3 +89,25 @@ def test_a_spectrum_that_bends_gives_a_slope_with_a_larger_error_and_the_band_it
     assert -2.0 < bent.slope < 0.0
     assert bent.std > 5.0 * straight.std
     assert (bent.low_hz, bent.high_hz) == pytest.approx((4 * RATE_HZ / 4096, 0.8 * RATE_HZ / 2), rel=0.01)
+
+
+def test_the_slope_of_one_piece_of_white_noise_is_level_on_average():
+    """Groups of one bin and of many have logarithms of different bias; neither bends the line."""
+    rng = np.random.default_rng(8)
+    frequency_hz = np.arange(257.0)
+    slopes = [psd_slope(Psd(frequency_hz, rng.exponential(size=257), 1)).slope for _ in range(200)]
+    assert abs(np.mean(slopes)) < 4.0 * np.std(slopes) / np.sqrt(200)
+
+
+def test_the_standard_error_of_the_slope_of_a_wavy_spectrum_is_that_of_least_squares():
+    """Each quarter octave lies off the line by far more than it scatters: all of them count alike."""
+    frequency_hz = np.arange(513.0)
+    group = np.floor(4.0 * np.log2(np.maximum(frequency_hz, 1.0) / 4.0) + 1e-9).astype(int)
+    height = np.random.default_rng(9).normal(0.0, 0.5, group.max() + 1)
+    used = (frequency_hz >= 4.0) & (frequency_hz <= 0.8 * 512.0)
+    found = psd_slope(Psd(frequency_hz, np.exp(height[np.maximum(group, 0)]), 10**9))
+    groups = np.unique(group[used])
+    middle = [np.median(np.log(frequency_hz[used & (group == one)])) for one in groups]
+    line = linregress(middle, height[groups])
+    assert found.slope == pytest.approx(line.slope, rel=1e-3)
+    assert found.std == pytest.approx(line.stderr, rel=1e-3)

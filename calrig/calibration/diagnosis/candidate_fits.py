@@ -42,7 +42,7 @@ def fit_candidates(
     columns_with: Callable[[Sequence[Candidate]], FloatArray],
     candidates: Sequence[Candidate],
 ) -> FitsBeside:
-    """Fits a model with each candidate beside it.
+    """Fit a model with each candidate added to it.
 
     Args:
         r: the responses.
@@ -116,7 +116,7 @@ LEFT_BEHIND = 60.0
 def fitted_beside(
     r: Responses, accepted: Sequence[Candidate], shortlist: Sequence[Candidate]
 ) -> list[tuple[float, FloatArray]]:
-    """Criterion and own coefficients of each of several candidates beside the accepted effects.
+    """Return criterion and own coefficients of each of several candidates beside the accepted effects.
 
     All are fitted at once, linear about what is accepted; once more, and again, those that bend.
     """
@@ -160,7 +160,7 @@ def _fitted_straightened(
 
 
 def _bends_yet(curve: Curve, beta: FloatArray, residuals: FloatArray, behind: float) -> bool:
-    """Whether a linear fit (p,), with residuals (n, J), is worth another about its coefficients.
+    """Return whether a linear fit (p,), with residuals (n, J), is worth another about its coefficients.
 
     Not one so far behind the best, in its penalised criterion, that bending so little does not matter.
     """
@@ -178,7 +178,7 @@ NUDGE = 1e-5
 
 
 def slope(r: Responses, candidate: Candidate, beta: FloatArray) -> FloatArray:
-    """(n, J, 1) change of what a candidate adds with its effect's place, at coefficients beta (p,)."""
+    """Return (n, J, 1) change of what a candidate adds with its effect's place, at coefficients beta (p,)."""
     name, at = candidate.effect.place, candidate.shape.at
     nudge = NUDGE * abs(at[name])
     above, below = (_moved(r, candidate, {**at, name: at[name] + side}) for side in (nudge, -nudge))
@@ -187,9 +187,11 @@ def slope(r: Responses, candidate: Candidate, beta: FloatArray) -> FloatArray:
 
 
 def refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> tuple[Fit, Candidate]:
-    """A candidate at the best place near its own, and the fit of the model with it.
+    """Refine the nonlinear parameter of a candidate (such as a period) by maximum likelihood.
 
-    A term of a series stays where it is: its place is known.
+    Returns:
+        The fit of the model with it, and the candidate with the parameter's standard error; a term of a
+        series keeps its known parameter.
     """
     name = candidate.effect.place
     model = fitted_model(r, accepted)
@@ -242,7 +244,7 @@ def _settled(
 
 
 def _moved(r: Responses, candidate: Candidate, at: Parameters) -> Candidate:
-    """The same form at another place."""
+    """Return the same form at another place."""
     (shape,) = candidate.effect.forms(r, at)
     return candidate_at(r, candidate, shape)
 
@@ -270,7 +272,7 @@ SAME = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class SelectedEffect:
-    """An effect that the gate let through.
+    """An effect that passed the significance test.
 
     Attributes:
         candidate: the form that explains it best.
@@ -301,7 +303,7 @@ class SelectedEffect:
         return "ambiguous" if self.rivals else "named"
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> SelectedEffect:
-        """The same in some of the poses."""
+        """Return the same in some of the poses."""
         candidate = self.candidate.rows(chosen)
         rivals, runners_up = (
             tuple(c.rows(chosen) for c in those) for those in (self.rivals, self.runners_up)
@@ -321,7 +323,7 @@ def named(
     p_value: float,
     incumbent: Candidate | None = None,
 ) -> SelectedEffect:
-    """The best of the offered candidates by its full likelihood, and those that come too close to it.
+    """Return the best of the offered candidates by its full likelihood, and those that come too close to it.
 
     Of equals, a term of a series stays where it is already in the model: it came with the others.
     """
@@ -351,7 +353,7 @@ def named(
 
 
 def _forms(offered: Sequence[Candidate], label: str) -> int:
-    """How many forms something without a name has: the more, the better one of them fits by chance."""
+    """Return how many forms something without a name has: the more, the better one of them fits by chance."""
     return len({c.shape.form for c in offered if c.label == label})
 
 
@@ -481,12 +483,12 @@ def _ranked(
 
 
 def _first_best(values: FloatArray) -> int:
-    """The first place whose value is the largest but for rounding."""
+    """Return the first place whose value is the largest but for rounding."""
     return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
 def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, *, leads: bool) -> Candidate:
-    """A leading candidate at the best place between those scanned."""
+    """Return a leading candidate at the best place between those scanned."""
 
     def of(shape: Shape) -> Candidate:
         return candidate_at(r, candidate, shape)

@@ -81,7 +81,7 @@ class Candidate:
         return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
 
     def is_possible(self, beta: FloatArray) -> bool:
-        """Whether the coefficients (≥ p,), its own first, are any that physics allows."""
+        """Return whether the coefficients (≥ p,), its own first, are any that physics allows."""
         first = 0
         if self.beside is not None:
             first = self.beside.columns.shape[2]
@@ -126,18 +126,18 @@ class Candidate:
         return distinct(r, self.shape, other.shape)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
-        """The same candidate in some of the poses."""
+        """Return the same candidate in some of the poses."""
         beside = self.beside and self.beside.rows(chosen)
         return Candidate(self.effect, self.shape, self.columns[chosen], beside)
 
 
 def _is_level(columns: FloatArray) -> bool:
-    """Whether columns add one angle to the readings of some poses, and nothing to those of the others."""
+    """Return whether the reading columns take at most two values: a constant offset in some poses."""
     return len(np.unique(columns[:, 0])) <= 2
 
 
 def candidate_of(r: Responses, effect: Effect, shape: Shape) -> Candidate:
-    """A shape with its columns."""
+    """Return a shape with its columns."""
     return Candidate(effect, shape, r.columns(shape.shares))
 
 
@@ -148,7 +148,7 @@ def candidate_at(r: Responses, candidate: Candidate, shape: Shape) -> Candidate:
 
 
 def candidates_of(r: Responses) -> list[Candidate]:
-    """Every candidate that these poses can show, those without a name last."""
+    """Return every candidate that these poses can show, those without a name last."""
     effects = sorted(EFFECTS.values(), key=lambda effect: effect.name == UNNAMED)
     found = [
         candidate_of(r, effect, shape)
@@ -166,7 +166,7 @@ def candidates_of(r: Responses) -> list[Candidate]:
 
 
 def companions_of(accepted: Sequence[Candidate]) -> set[str]:
-    """Names of the effects that are declared to come together with some of those in a model."""
+    """Return names of the effects that are declared to come together with some of those in a model."""
     present = {c.name for c in accepted}
     asked = {name for c in accepted for name in c.effect.together_with}
     return asked | {name for name, effect in EFFECTS.items() if present.intersection(effect.together_with)}
@@ -177,7 +177,7 @@ def _together(a: Candidate, b: Candidate) -> Candidate:
 
 
 def goes_round(r: Responses) -> bool:
-    """Whether the poses cover a turn, so that its orders mean something."""
+    """Return whether the poses cover a turn, so that its orders mean something."""
     return float(np.ptp(r.theta_deg)) >= LEAST_TURN_DEG
 
 
@@ -207,7 +207,7 @@ def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
-    """The same form of the same effect in other poses; None where they cannot show it.
+    """Return the same form of the same effect in other poses; None where they cannot show it.
 
     Args:
         candidate: as it was found, elsewhere.
@@ -267,7 +267,7 @@ def _nearest(shapes: Sequence[Shape], wanted: Parameters) -> list[Shape]:
 
 
 def base_without(r: Responses, replaced: str | None) -> FloatArray:
-    """The columns of bias and scale, less the one that a shape takes the place of."""
+    """Return the columns of bias and scale, less the one that a shape takes the place of."""
     if replaced is None:
         return r.base
     keep = [k for k, name in enumerate(r.base_names) if name != replaced]
@@ -275,17 +275,17 @@ def base_without(r: Responses, replaced: str | None) -> FloatArray:
 
 
 def model_columns(r: Responses, accepted: Sequence[Candidate]) -> FloatArray:
-    """(n, J, p) columns of bias and scale, then of the accepted candidates in their order."""
+    """Return (n, J, p) columns of bias and scale, then of the accepted candidates in their order."""
     return np.concatenate([base_without(r, replaced(accepted)), *[c.columns for c in accepted]], axis=2)
 
 
 def replaced(accepted: Sequence[Candidate]) -> str | None:
-    """The base column that one of the candidates takes the place of."""
+    """Return the base column that one of the candidates takes the place of."""
     return next((c.shape.replaces for c in accepted if c.shape.replaces), None)
 
 
 def own_columns(columns: FloatArray, accepted: Sequence[Candidate]) -> list[slice]:
-    """Where each accepted candidate's own columns lie among those of `model_columns`."""
+    """Return where each accepted candidate's own columns lie among those of `model_columns`."""
     ends = np.cumsum([c.columns.shape[2] for c in accepted])
     base = columns.shape[2] - int(ends[-1]) if accepted else 0
     return [
@@ -295,7 +295,7 @@ def own_columns(columns: FloatArray, accepted: Sequence[Candidate]) -> list[slic
 
 
 def side_by_side(models: Sequence[FloatArray]) -> FloatArray:
-    """(m, n, J, p) of models (n, J, ≤ p); narrower ones end in zeros."""
+    """Return (m, n, J, p) of models (n, J, ≤ p); narrower ones end in zeros."""
     width = max(columns.shape[2] for columns in models)
     padded = np.zeros((len(models), *models[0].shape[:2], width))
     for k, columns in enumerate(models):

@@ -96,7 +96,7 @@ def design(
     seed: int = 0,
     progress: Progress = unheard,
 ) -> FollowUp | str:
-    """The follow-up run for a diagnosis, or the reason why no run on this rig would help.
+    """Return the follow-up run for a diagnosis, or the reason why no run on this rig would help.
 
     Each next elevation is the one of a grid over the limits (jittered, so that no period hides in it) that
     adds most to the distance between the closest two suspects. Of A from B it is ‖(I − P_B)·W·μ_A‖²: what is
@@ -108,7 +108,7 @@ def design(
         findings: of the diagnosis.
         limits_deg: soft limits of elevation.
         seed: of the grid's jitter.
-        progress: is told the share of the poses that have been chosen.
+        progress: is called with the share of the poses that have been chosen.
     """
     found = ambiguous_of(findings)
     if found is None:
@@ -171,7 +171,7 @@ class _Trial:
         return min((distances[pair] for pair in self.pairs), default=0.0)
 
     def keep_distinguishable(self, designs: Sequence[tuple[Sequence[float], float]]) -> None:
-        """Sets pairs of suspects aside that none of some rich designs would separate."""
+        """Drop the pairs of suspects that none of some rich designs would separate."""
         tried = [self._distances(elevations, wait_s) for elevations, wait_s in designs]
         self.pairs = [p for p in self.pairs if max(d[p] for d in tried) >= LEAST_SEPARATION]
 
@@ -210,7 +210,7 @@ class _Trial:
         return {pair: found.get(pair, 0.0) for pair in combinations(range(len(suspects)), 2)}
 
     def _imagined(self, elevations_deg: Sequence[float], wait_s: float) -> list[Pose]:
-        """Poses as they would be measured, free of error, the second half of them after a wait."""
+        """Return poses as they would be measured, free of error, the second half of them after a wait."""
         template = self._runs[-1][0]
         poses: list[Pose] = []
         before, approach = self._runs[-1][-1].theta_deg, 0
@@ -276,14 +276,14 @@ def _pose_time_s(runs: Sequence[Sequence[Pose]]) -> float:
 
 
 def _confirming(limits_deg: tuple[float, float], rng: np.random.Generator) -> list[float]:
-    """Poses over the whole range, from both sides, in random order."""
+    """Return poses over the whole range, from both sides, in random order."""
     low, high = limits_deg
     places = np.linspace(low + 0.1 * (high - low), high - 0.1 * (high - low), CONFIRMING_POSES)
     return [round(float(p), 3) for p in rng.permutation(places)]
 
 
 def predicted(candidate: Candidate, r: Responses) -> Candidate | None:
-    """A candidate in poses that it was not found in; a shape without a name says nothing of others."""
+    """Return a candidate in poses that it was not found in; a shape without a name says nothing of others."""
     return rebuilt(candidate, r) if candidate.named else None
 
 

@@ -57,15 +57,15 @@ def cross_validate(
     noises: Noises = MappingProxyType({}),
     progress: Progress = unheard,
 ) -> CrossValidation:
-    """Predicts every pose once, by a search and a fit over the other folds; base on the same folds.
+    """Predict every pose once, by a search and a fit over the other folds; base on the same folds.
 
     Args:
         r: the responses.
         candidates: of these poses.
-        rng: of the gate's bootstrap.
-        rivals: what a search of all poses found, to be held against again in each fold.
+        rng: of the bootstrap.
+        rivals: competing candidates of a search of all poses, compared again in each fold.
         noises: what noise gained in that search: likelihood ratios, which know no pose's reading.
-        progress: is told the share of folds done before each.
+        progress: is called with the share of folds done before each.
     """
     fold = folds_of(r)
     base = np.zeros(len(r))
@@ -90,7 +90,7 @@ def cross_validate(
 
 
 def folds_of(r: Responses) -> npt.NDArray[np.intp]:
-    """(n,) fold of each pose, dealt out in turn along each approach's elevations.
+    """Return (n,) fold of each pose, dealt out in turn along each approach's elevations.
 
     So every fold has both approaches, all elevations, and poses from early and late.
     """
@@ -104,7 +104,7 @@ def folds_of(r: Responses) -> npt.NDArray[np.intp]:
 def errors_deg(
     r: Responses, accepted: Sequence[Candidate], beta: FloatArray, test: npt.NDArray[np.intp]
 ) -> FloatArray:
-    """(m,) reading less prediction of some poses, over the scale, in degrees of elevation.
+    """Return (m,) reading less prediction of some poses, over the scale, in degrees of elevation.
 
     Args:
         r: all poses.
@@ -130,7 +130,7 @@ class Confirmation:
 def confirm(
     runs: Sequence[Sequence[Pose]], fresh: Sequence[Pose], deciding: Sequence[int], findings: Findings
 ) -> Confirmation | None:
-    """Fits base and final model to all poses but the confirming ones and predicts those.
+    """Fit base and final model to all poses but the confirming ones and predict those.
 
     Args:
         runs: the earlier runs.
@@ -190,19 +190,20 @@ class Blocked:
 
 
 def blocked(r: Responses, accepted: Sequence[Candidate]) -> tuple[Blocked, ...]:
-    """Predicts every pose once along time, and once along angle where the poses turn."""
-    return tuple(Blocked(along, _errors(r, [], along), _errors(r, accepted, along)) for along in _folds(r))
+    """Predict every pose once along time, and once along angle where the poses turn."""
+    every = tuple(accepted)
+    return tuple(Blocked(along, _errors(r, (), along), _errors(r, every, along)) for along in _folds(r))
 
 
 def worse(several: Sequence[Blocked]) -> Blocked | None:
-    """The one that the effects help least; None where there is none."""
+    """Return the one that the effects help least; None where there is none."""
     return max(several, key=lambda one: one.ratio, default=None)
 
 
 def not_predictive(
     r: Responses, found: Sequence[SelectedEffect], whole: Fit, offered: Sequence[Candidate]
 ) -> tuple[SelectedEffect, ...]:
-    """The same effects; a name that fails the blocks it has not seen is no longer claimed alone.
+    """Return the same effects; a name that fails the blocks it has not seen is no longer claimed alone.
 
     It fails where the blocks' error is smaller without it and its coefficients, from the rest of the poses,
     contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot predict,
@@ -214,11 +215,11 @@ def not_predictive(
         whole: the fit of them all.
         offered: candidates of these poses; a shape without a name among them becomes the rival.
     """
-    accepted = [f.candidate for f in found]
+    accepted = tuple(f.candidate for f in found)
     folds = _folds(r)
 
     def judged(place: int, one: SelectedEffect) -> SelectedEffect:
-        others = [c for c in accepted if c is not one.candidate]
+        others = tuple(c for c in accepted if c is not one.candidate)
         rival = _nameless(one.candidate, offered) if one.candidate.named else None
         if rival is None:
             return one
@@ -232,7 +233,7 @@ def not_predictive(
 
 
 def _folds(r: Responses) -> dict[str, Intp]:
-    """(n,) block of each pose, for each way to lay them: along every run, and over the elevations."""
+    """Return (n,) block of each pose, for each way to lay them: along every run, and over the elevations."""
     first = np.unique([0, *np.flatnonzero(r.starts)])  # what a run began with may have been left out
     length = np.diff([*first, len(r)])
     since = np.arange(len(r)) - np.repeat(first, length)
@@ -246,12 +247,8 @@ def _folds(r: Responses) -> dict[str, Intp]:
     return folds
 
 
-def _errors(r: Responses, accepted: Sequence[Candidate], along: str) -> FloatArray:
-    return _errors_along(r, tuple(accepted), along)
-
-
 @lru_cache(maxsize=KEPT)
-def _errors_along(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatArray:
+def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatArray:
     errors, fold = np.zeros(len(r)), _folds(r)[along]
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
@@ -262,7 +259,7 @@ def _errors_along(r: Responses, accepted: tuple[Candidate, ...], along: str) -> 
 
 
 def _shown(r: Responses, accepted: Sequence[Candidate], train: Intp) -> list[Candidate]:
-    """The effects that some of the poses can show beside bias, scale and the effects before."""
+    """Return the effects that some of the poses can show beside bias, scale and the effects before."""
     shown: list[Candidate] = []
     for candidate in accepted:
         before = _flat(model_columns(r, shown)[train])
@@ -275,7 +272,7 @@ def _shown(r: Responses, accepted: Sequence[Candidate], train: Intp) -> list[Can
 
 
 def _as_far_as_shown(curve: Candidate, train: Intp, before: FloatArray) -> Candidate:
-    """A wavy curve less what it does where no pose is left: the spline would fly off there."""
+    """Return a wavy curve less what it does where no pose is left: the spline would fly off there."""
     whole, _ = np.linalg.qr(_flat(curve.columns))
     directions = whole.reshape(*curve.columns.shape)
     own = _flat(directions[train])
@@ -320,7 +317,7 @@ DECISIVE = 2
 
 
 def standing_without_one(r: Responses, found: Sequence[SelectedEffect]) -> tuple[SelectedEffect, ...]:
-    """The same effects; a name that one pose alone tells from a runner-up becomes ambiguous with it.
+    """Return the same effects; a name that one pose alone tells from a runner-up becomes ambiguous with it.
 
     Args:
         r: the poses they were found in.

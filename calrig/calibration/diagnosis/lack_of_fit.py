@@ -88,7 +88,7 @@ def lack_of_fit(
     lag1_correlation: float,
     rounding_deg: float,
 ) -> LackOfFit:
-    """Holds the residual of a model against the pure error.
+    """Test the residual of a model against the pure error.
 
     Args:
         runs: the poses, in the order measured.
@@ -137,7 +137,7 @@ def _dwell(poses: Sequence[Pose]) -> Spread | None:
 
 
 def _groups(runs: Sequence[Sequence[Pose]], free: BoolArray) -> list[list[int]]:
-    """Poses of one run at one target, come to from one side, in order; each at least twice."""
+    """Return poses of one run at one target, come to from one side, in order; each at least twice."""
     groups: list[list[int]] = []
     first = 0
     for run in runs:
@@ -159,7 +159,7 @@ def _groups(runs: Sequence[Sequence[Pose]], free: BoolArray) -> list[list[int]]:
 def _revisits(
     groups: Sequence[Sequence[int]], residual_deg: FloatArray
 ) -> tuple[Spread | None, Spread | None]:
-    """What revisits scatter by, and the same without what changes slowly."""
+    """Return what revisits scatter by, and the same without what changes slowly."""
     if not groups:
         return None, None
     off = np.full(len(residual_deg), np.nan)
@@ -211,7 +211,7 @@ WANDERS = 1.5
 
 
 def _experiment(lack: LackOfFit) -> str:
-    """What to measure, by where the rest shows: in time, over elevation, or from pose to pose."""
+    """Return what to measure, by where the rest shows: in time, over elevation, or from pose to pose."""
     if lack.repeat is not None and lack.pure is not None:
         if lack.repeat.std_deg > WANDERS * lack.pure.std_deg:
             return "it changes in time: repeat one elevation over the run, and warm the unit up once more"

@@ -38,7 +38,7 @@ DRAWS = 100
 
 
 def covariance_of(r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0) -> FloatArray:
-    """(p, p) covariance of a fit's coefficients, each error as large as refits scatter, never smaller.
+    """Return (p, p) covariance of a fit's coefficients, each error as large as refits scatter, never smaller.
 
     Args:
         r: the responses.
@@ -57,7 +57,7 @@ def covariance_of(r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0)
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
-    """Each effect found, with parameters from a fit of all of them together."""
+    """Return each effect found, with parameters from a fit of all of them together."""
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     model = fitted_model(r, whole)
     own = own_columns(model.columns, whole)
@@ -83,7 +83,7 @@ def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
 
 
 def model_words(findings: Findings) -> str:
-    """The final model, such as `reading = bias + scale·θ + backlash`."""
+    """Return the final model, such as `reading = bias + scale·θ + backlash`."""
     names = [
         f.candidate.label.replace("unnamed ", "f(") + ("" if f.candidate.named else ")")
         for f in findings.found
@@ -92,7 +92,7 @@ def model_words(findings: Findings) -> str:
 
 
 def _whole_form(r: Responses, candidate: Candidate) -> Candidate:
-    """The form with all of an effect's parameters, where one of its parts sufficed to find it."""
+    """Return the form with all of an effect's parameters, where one of its parts sufficed to find it."""
     whole = candidate.shape.part_of and rebuilt(candidate, r, candidate.shape.part_of)
     return whole or candidate
 
@@ -135,7 +135,7 @@ def _why(found: SelectedEffect, label: str, behind: float) -> str:
 
 
 def _same_elsewhere(found: SelectedEffect, candidate: Candidate) -> list[str]:
-    """The same effect at other places that these poses cannot tell from its own."""
+    """Return the same effect at other places that these poses cannot tell from its own."""
     place = candidate.effect.place
     values = sorted((other.shape.at[place] for other in found.alike), reverse=True)
     if not values:
@@ -193,7 +193,7 @@ class PartialResidual:
 def partial_residuals(
     runs: Sequence[Sequence[Pose]], effects: Sequence[Document], run_ids: Sequence[str] | None = None
 ) -> list[PartialResidual]:
-    """The partial residual of each effect of a diagnosis, from one fit of all of them together.
+    """Return the partial residual of each effect of a diagnosis, from one fit of all of them together.
 
     Args:
         runs: the poses that were diagnosed, as `diagnose` took them.

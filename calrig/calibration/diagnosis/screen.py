@@ -92,29 +92,29 @@ class Screen:
         return _Base(share, base.reshape(len(model), -1, base.shape[1]), float(cost))
 
     def _stacks(self, width: int) -> Iterator[FloatArray]:
-        """The candidates of one width, some at a time: their rotated columns (J, C, p, n)."""
+        """Return the candidates of one width, some at a time: their rotated columns (J, C, p, n)."""
         indices, at_once = self._by_width[width], max(1, BLOCK // (width * self._r.values.size))
         for first in range(0, len(indices), at_once):
             columns = np.stack([self._candidates[i].columns for i in indices[first : first + at_once]])
             yield self._noise.rotated(np.moveaxis(columns, 3, 1))
 
     def _beside(self, width: int) -> Iterator[list[_Beside]]:
-        """The candidates of one width at each share, some at a time."""
+        """Return the candidates of one width at each share, some at a time."""
         for stack in self._stacks(width):
             yield [_beside(self._white(stack, base.share), base.columns) for base in self._bases]
 
     def _white(self, rotated: FloatArray, share: float) -> FloatArray:
-        """Innovations of rotated columns: themselves where none of the correlation is undone."""
+        """Return innovations of rotated columns: themselves where none of the correlation is undone."""
         return rotated if share == 0.0 else self._noise.innovations(rotated, self._r.starts, share)
 
     def once(self, residuals: FloatArray) -> Float32Array:
-        """(C,) reductions of −2 log likelihood for residuals (n, J) of the model."""
+        """Return (C,) reductions of −2 log likelihood for residuals (n, J) of the model."""
         values = self._values(residuals[None])
         parts = [self._ratios_once(values, some) for width in self._by_width for some in self._stacks(width)]
         return np.asarray(np.concatenate(parts)[self._as_given], dtype=np.float32)
 
     def ratios(self, residuals: FloatArray) -> Float32Array:
-        """(b, C) the same of b sets of residuals (b, n, J); what it makes for that serves the next."""
+        """Return (b, C) the same of b sets of residuals (b, n, J); what it makes for that serves the next."""
         if not self._made:
             self._made = [
                 [_joined(of_share) for of_share in zip(*self._beside(width), strict=True)]
@@ -149,12 +149,12 @@ class Screen:
         return found
 
     def _ratios(self, values: Sequence[_Values], candidates: Sequence[_Beside]) -> Float32Array:
-        """(b, C) the best of all shares, against the best without the candidate."""
+        """Return (b, C) the best of all shares, against the best without the candidate."""
         shares_left = [_share_left(own, some) for own, some in zip(values, candidates, strict=True)]
         return self._best_of_shares(values, shares_left)
 
     def _best_of_shares(self, values: Sequence[_Values], shares_left: Sequence[Float32Array]) -> Float32Array:
-        """(b, C) from what is left at each share (b, C)."""
+        """Return (b, C) from what is left at each share (b, C)."""
         n, first = len(self._r), values[0].null
         least = np.minimum.reduce(
             [
@@ -195,7 +195,7 @@ def _turned(white: FloatArray, base: FloatArray) -> _Turned:
 
 
 def _beside(white: FloatArray, base: FloatArray) -> _Beside:
-    """Columns of candidates (J, C, p, n) beside a base (J, n, q)."""
+    """Return columns of candidates (J, C, p, n) beside a base (J, n, q)."""
     across, inside, products = _turned(white, base)
     turned = across * white if white.shape[2] == 1 else across @ white
     columns = np.ascontiguousarray(np.swapaxes(turned, 1, 2), dtype=np.float32)
@@ -216,7 +216,7 @@ def _joined(parts: Sequence[_Beside]) -> _Beside:
 
 
 def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
-    """(b, C) product over the channels of what a candidate leaves of the channel's sum of squares."""
+    """Return (b, C) product over the channels of what a candidate leaves of the channel's sum of squares."""
     channels, width, count, n = candidates.columns.shape
     flat = candidates.columns.reshape(channels, -1, n)
     within = values.white @ np.swapaxes(flat, 1, 2)
@@ -240,7 +240,7 @@ def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
 
 
 def _share_left_once(values: _Values, white: FloatArray, base: FloatArray) -> Float32Array:
-    """(C,) the same of one set of values, for candidates (J, C, p, n) beside a base (J, n, q)."""
+    """Return (C,) the same of one set of values, for candidates (J, C, p, n) beside a base (J, n, q)."""
     channels, count, width, n = white.shape
     across, inside, products = _turned(white, base)
     along = (white.reshape(channels, -1, n) @ values.white[:, 0, :, None]).reshape(channels, count, width, 1)

@@ -53,14 +53,14 @@ class NonlinearTerms:
         self.bends = bool(self._bent)
 
     def over(self, beta: FloatArray) -> FloatArray:
-        """(n, J) what they add."""
+        """Return (n, J) what they add."""
         over = np.zeros_like(self._r.values)
         for not_linear, at in self._bent:
             over += self._r.columns(not_linear(self._r, beta[at]))[:, :, 0]
         return over
 
     def slope(self, beta: FloatArray) -> FloatArray:
-        """(n, J, p) its derivative, by central differences."""
+        """Return (n, J, p) its derivative, by central differences."""
         slope = np.zeros((*self._r.values.shape, len(beta)))
         for _, at in self._bent:
             for k in range(at.start, at.stop):
@@ -90,14 +90,14 @@ class FeltMoves:
         self.bends = self._gain_at is not None and bool(self._effects.any())
 
     def over(self, beta: FloatArray) -> FloatArray:
-        """(n, J) what the gain adds."""
+        """Return (n, J) what the gain adds."""
         over = np.zeros(self._shape[:2])
         if self.bends:
             over[:, self._at] = self._gain(beta) * (self._effects @ beta[self._base :])
         return over
 
     def slope(self, beta: FloatArray) -> FloatArray:
-        """(n, J, p) its derivative."""
+        """Return (n, J, p) its derivative."""
         slope = np.zeros(self._shape)
         if self.bends:
             slope[:, self._at, self._base :] = self._gain(beta) * self._effects
@@ -134,7 +134,7 @@ class Model:
 
 
 def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
-    """Fits bias, scale and effects, those on the sensor's axes through atan2.
+    """Fit bias, scale and effects, those on the sensor's axes through atan2.
 
     Args:
         r: the responses as measured.
@@ -171,7 +171,7 @@ def linear_about(
 
 
 def parts_deg(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> list[FloatArray]:
-    """(n,) what each of the effects adds to the readings, beside all the others."""
+    """Return (n,) what each of the effects adds to the readings, beside all the others."""
     curve = Curve(r, accepted)
     whole = curve.of_effects(beta)[:, 0]
     parts = []
@@ -213,7 +213,7 @@ class Curve:
         self.bends = bool(self._on_axes) or self._moves.bends or self._nonlinear_terms.bends
 
     def _placed(self) -> tuple[FloatArray, FloatArray]:
-        """(n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
+        """Return (n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
         felt, size = np.zeros((2, len(self._r), self._straight.shape[2]))
         if not self._on_axes:
             return felt, size
@@ -240,22 +240,22 @@ class Curve:
         return float((np.abs(self.residuals(beta) - residuals) / size).max())
 
     def is_possible(self, beta: FloatArray) -> bool:
-        """Whether what is left of the vector still says where the sensor points."""
+        """Return whether what is left of the vector still says where the sensor points."""
         return all(
             bool((np.abs(error) < LARGEST_G).all()) for error in self._error(beta, self._felt_deg(beta))
         )
 
     def of_effects(self, beta: FloatArray) -> FloatArray:
-        """(n, J) all effects together."""
+        """Return (n, J) all effects together."""
         base = len(self._names)
         return np.asarray(self._straight[:, :, base:] @ beta[base:] + self._bent(beta))
 
     def _bent(self, beta: FloatArray) -> FloatArray:
-        """(n, J) what is not linear in the coefficients."""
+        """Return (n, J) what is not linear in the coefficients."""
         return self._on_axes_of(beta) + self._moves.over(beta) + self._nonlinear_terms.over(beta)
 
     def residuals(self, beta: FloatArray) -> FloatArray:
-        """(n, J) what the model leaves of the measured responses."""
+        """Return (n, J) what the model leaves of the measured responses."""
         left = self._r.values - self._straight @ beta - self._bent(beta)
         return np.asarray(left * self._r.known)
 
@@ -273,7 +273,7 @@ class Curve:
         return replace(self._r, values=values, base=base), accepted
 
     def _error(self, beta: FloatArray, felt_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) of a_y and a_z, all effects together."""
+        """Return (n,) of a_y and a_z, all effects together."""
         error_y, error_z = np.zeros((2, len(self._r)))
         for member, at in self._on_axes:
             more_y, more_z = self._error_of(member, beta[at], felt_deg)
@@ -281,7 +281,7 @@ class Curve:
         return error_y, error_z
 
     def _error_of(self, member: Candidate, own: FloatArray, felt_deg: FloatArray) -> VectorError:
-        """What one effect adds, by its own coefficients."""
+        """Return what one effect adds, by its own coefficients."""
         changed = member.changed
         # of what ended the coefficients are those of the runs before, less
         signed = -own if changed is not None and changed.ended else own
@@ -299,7 +299,7 @@ class Curve:
         return np.asarray(self._r.theta_deg + self._felt @ beta)
 
     def _on_axes_of(self, beta: FloatArray) -> FloatArray:
-        """(n, J) what the effects on the sensor's axes do together."""
+        """Return (n, J) what the effects on the sensor's axes do together."""
         if not self._on_axes:
             return np.zeros_like(self._r.values)
         felt_deg = self._felt_deg(beta)
@@ -308,7 +308,7 @@ class Curve:
         return self._r.columns({READING: turn_deg, ANGLE: turn_deg, NORM: size * (length - 1.0)})[:, :, 0]
 
     def _slope(self, beta: FloatArray) -> FloatArray:
-        """(n, J, p) its derivative by the chain rule, of the errors by central differences."""
+        """Return (n, J, p) its derivative by the chain rule, of the errors by central differences."""
         felt_deg, size = self._felt_deg(beta), 1.0 + self._size @ beta
         s, c = sin_cos(felt_deg)
         y, z = self._error(beta, felt_deg)
@@ -316,7 +316,7 @@ class Curve:
         length = np.hypot(across, along)
 
         def follow(more: VectorError, less: VectorError, step: float) -> tuple[FloatArray, FloatArray]:
-            """What angle (°) and length do for a change of the error."""
+            """Return what angle (°) and length do for a change of the error."""
             by_y, by_z = ((a - b) / (2.0 * step) for a, b in zip(more, less, strict=True))
             more_across, more_along = by_y * c - by_z * s, by_y * s + by_z * c
             turned = (more_across * along - across * more_along) / length**2

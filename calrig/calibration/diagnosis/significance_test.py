@@ -78,7 +78,7 @@ class FamilyTest:
         self._draws = len(null)
 
     def passes(self, level: float, margin: float, bootstraps: int) -> bool | None:
-        """Whether the p-value is below a level; None where so many searches of noise leave that open.
+        """Return whether the p-value is below a level; None where so many searches of noise leave that open.
 
         Args:
             level: of the decision.
@@ -119,14 +119,20 @@ OTHER_RHO = 0.2
 
 
 class NullGains(NamedTuple):
-    """Gains (b, L) of the best candidate of each label in noise, whose largest correlation is `rho`."""
+    """Null distribution of candidate gains, bootstrapped once on all poses and reused by the folds' searches.
+
+    Attributes:
+        labels: of the L candidates.
+        gains: (b, L) of the best candidate of each label, in −2 log likelihood with penalties.
+        rho: the largest correlation of the noise.
+    """
 
     labels: tuple[str, ...]
     gains: FloatArray
     rho: float
 
     def of(self, labels: Sequence[str], noise: NoiseModel) -> FloatArray | None:
-        """(b, l) those of some labels; None where they do not tell what a noise gains there."""
+        """Return (b, l) those of some labels; None where they do not tell what a noise gains there."""
         places = {label: k for k, label in enumerate(self.labels)}
         other = abs(max(float(noise.rho.max()), 0.0) - max(self.rho, 0.0))
         if len(self.gains) < FEWEST or other > OTHER_RHO:
@@ -142,7 +148,7 @@ Noises = Mapping[ModelKey, NullGains]
 
 
 def model_of(r: Responses, accepted: Sequence[Candidate]) -> ModelKey:
-    """What a model has in common with that of more poses."""
+    """Return what a model has in common with that of more poses."""
     return r.base_names, frozenset(c.label for c in accepted)
 
 
@@ -177,11 +183,11 @@ class DrawnFits:
         self._kind_of = [(c.columns.shape[2], c.shape.replaces or "") for c in candidates]
 
     def null(self, values: FloatArray) -> FloatArray:
-        """(b,) criterion of the model alone in responses (b, n, J)."""
+        """Return (b,) criterion of the model alone in responses (b, n, J)."""
         return self._models[""].alone(values)
 
     def beside(self, values: FloatArray, drawn: Intp, chosen: Intp) -> tuple[FloatArray, list[FloatArray]]:
-        """(m,) criterion in some responses of (b, n, J), each beside a chosen candidate.
+        """Return (m,) criterion in some responses of (b, n, J), each beside a chosen candidate.
 
         And these candidates' own coefficients. The responses' places `drawn` (m,) are in their order.
         """
@@ -230,7 +236,7 @@ class _Model:
             self._again = RepeatedSteps(r, self._base.plain[np.any(self._base.plain != 0.0, axis=1)])
 
     def alone(self, values: FloatArray) -> FloatArray:
-        """(b,) criterion in responses (b, n, J)."""
+        """Return (b,) criterion in responses (b, n, J)."""
         left = self._left(values, self._white(values))
         nothing = np.empty((1, 0, left.shape[1]))
         return self._criterion(left, nothing, np.zeros(len(left), dtype=np.intp))[0]
@@ -238,7 +244,7 @@ class _Model:
     def beside(
         self, values: FloatArray, drawn: Intp, kinds: Sequence[int], candidates: dict[int, Candidate]
     ) -> tuple[FloatArray, FloatArray]:
-        """(m,) criterion and (m, w) coefficients of one candidate each, all of one width.
+        """Return (m,) criterion and (m, w) coefficients of one candidate each, all of one width.
 
         Args:
             values: (b, n, J) responses.
@@ -269,15 +275,15 @@ class _Model:
         return [_Columns(*one) for one in zip(*made, strict=True)]
 
     def _white(self, values: FloatArray) -> FloatArray:
-        """(…, n·J) responses or columns (…, n, J) whitened."""
+        """Return (…, n·J) responses or columns (…, n, J) whitened."""
         return self._noise.whiten(values, self._r.starts).reshape(*values.shape[:-2], -1)
 
     def _left(self, values: FloatArray, white: FloatArray) -> FloatArray:
-        """(b, n·J) what the model leaves of responses (b, n, J), by themselves and whitened."""
+        """Return (b, n·J) what the model leaves of responses (b, n, J), by themselves and whitened."""
         return np.asarray(values.reshape(white.shape) - (white @ self._base.white.T) @ self._base.plain)
 
     def _criterion(self, left: FloatArray, beside: FloatArray, at: Intp) -> tuple[FloatArray, FloatArray]:
-        """(m,) of what one step leaves (m, n·J), and (m, w) what further steps add to coefficients.
+        """Return (m,) of what one step leaves (m, n·J), and (m, w) what further steps add to coefficients.
 
         Of those columns (k, w, n·J) that it was fitted beside, by their places `at` (m,).
         """
@@ -290,7 +296,7 @@ class _Model:
         return products.criterion(*products.noises(taken)), np.zeros((len(left), width))
 
     def _rows(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Columns (m, n, J, p) whitened and as they are, in rows (m, p, n·J)."""
+        """Return columns (m, n, J, p) whitened and as they are, in rows (m, p, n·J)."""
         rows = np.moveaxis(columns, 3, 1)
         return self._white(rows), rows.reshape(*rows.shape[:2], -1)
 
@@ -325,11 +331,16 @@ more, over 15 by one of 1,800.
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the gate says of one search: each candidate's ratio on the screen, and the search's p-value.
+    """Result of the significance test of one search.
 
-    `gain` is that of the best candidate in −2 log likelihood with penalties; `passes`, whether the p-value is
-    below the level, or clearly would be with more draws; `least_p_value`, what all draws could tell at best;
-    `drawn`, what was drawn of noise for it, None where that was known.
+    Attributes:
+        candidates: everything the search looked at.
+        ratios: the likelihood ratio of each on the screen.
+        gain: of the best candidate, in −2 log likelihood with penalties.
+        p_value: family-wise, of the best candidate.
+        passes: whether the p-value is below the level, or clearly would be with more draws.
+        least_p_value: the smallest that all draws could give.
+        drawn: the null distribution drawn for the test; None where it was known.
     """
 
     candidates: Sequence[Candidate]
@@ -355,7 +366,7 @@ def gate(
     known: NullGains | None = None,
     decide_only: bool = False,
 ) -> Verdict:
-    """Judges the best of all candidates against its distribution under the current model.
+    """Judge the best of all candidates against its distribution under the current model.
 
     Draws that can no longer change the decision are not made (Besag & Clifford, Biometrika 78, 1991).
 
@@ -448,7 +459,7 @@ class _Trial:
         return DrawnFits(self._r, self._columns_with, self._candidates, self._noise)
 
     def are(self, some: Collection[str]) -> BoolArray:
-        """(L,) which of the labels are among some."""
+        """Return (L,) which of the labels are among some."""
         return np.array([label in some for label in self.labels])
 
     def leading(self) -> FloatArray:
@@ -477,7 +488,7 @@ class _Trial:
         return gains[0], fit(self._r, self._columns_with([best]))
 
     def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
-        """(b, L) the same in sets of responses (b, n, J) drawn from the noise.
+        """Return (b, L) the same in sets of responses (b, n, J) drawn from the noise.
 
         There the screen is right: the forms that lead on it reach what all would (`LEADERS`). What it says
         will do of those that it takes nowhere, and where it takes none as far as some least gain.
@@ -496,7 +507,7 @@ class _Trial:
     def _gained(
         self, chosen: Intp, null: FloatArray, criterion: FloatArray, own: Sequence[FloatArray]
     ) -> FloatArray:
-        """(m,) reductions of −2 log likelihood, less penalties, by some candidates (m,).
+        """Return (m,) reductions of −2 log likelihood, less penalties, by some candidates (m,).
 
         Minus infinity where physics rules them out.
         """
@@ -507,7 +518,7 @@ class _Trial:
         return gained
 
     def _of_labels(self, labels: Intp, gained: FloatArray) -> FloatArray:
-        """(b, L) the largest of each label's gains (b, k); minus infinity where it has none."""
+        """Return (b, L) the largest of each label's gains (b, k); minus infinity where it has none."""
         gains = np.full((len(labels), len(self.labels)), -np.inf)
         np.maximum.at(gains, (np.arange(len(labels))[:, None], labels), gained)
         return gains

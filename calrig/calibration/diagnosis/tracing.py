@@ -70,7 +70,7 @@ def diagnose(
     cross_fit: bool = True,
     progress: Progress = unheard,
 ) -> Diagnosis:
-    """Traces what bias and scale leave of the poses to the effects the model lacks.
+    """Trace what bias and scale leave of the poses to the effects the model lacks.
 
     Args:
         runs: the poses of one or several runs of a unit, in the order measured, none excluded.
@@ -78,7 +78,7 @@ def diagnose(
         seed: of the bootstrap: the same poses and seed give the same diagnosis.
         bootstraps: of each step of the search.
         cross_fit: whether the errors before and after are measured on held-out poses.
-        progress: is told the share of searches done: over all poses, then in each fold.
+        progress: is called with the share of searches done: over all poses, then in each fold.
 
     Raises:
         DiagnosisError: the poses cannot be diagnosed; the message says why.
@@ -142,7 +142,7 @@ def _unseen_by_gravity(findings: Findings) -> str | None:
 def _parted(
     runs: Sequence[Sequence[Pose]], findings: Findings
 ) -> tuple[tuple[tuple[Pose, ...], ...], list[str]]:
-    """The runs less the outliers of a search, and a sentence for each of those."""
+    """Return the runs less the outliers of a search, and a sentence for each of those."""
     used = set(findings.kept.tolist())
     kept, said, first = [], [], 0
     for number, run in enumerate(runs):
@@ -159,7 +159,7 @@ def _parted(
 
 
 def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
-    """The diagnosis as CONTRACT section 5 has it, without follow-up and confirmation."""
+    """Return the diagnosis as CONTRACT section 5 has it, without follow-up and confirmation."""
     findings = diagnosis.findings
     r = findings.responses
     before = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
@@ -199,13 +199,13 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
 
 
 def _how(held_out: CrossValidation, blocks: Sequence[Blocked]) -> str:
-    """How the errors on held-out poses were measured, in words."""
+    """Return how the errors on held-out poses were measured, in words."""
     along = " and ".join(f"along {one.along}" for one in blocks)
     return f"{held_out.folds} folds, interleaved; {BLOCKS} contiguous blocks {along}"
 
 
 def _noise(lack: LackOfFit) -> dict[str, Any]:
-    """The residual's noise, and the pure error that it is held against."""
+    """Return the residual's noise, and the pure error that it is compared with."""
     tested = {"f": lack.f, "freedom": list(lack.freedom), "p_value": lack.p_value, "rejected": lack.rejects}
     return {
         "std_deg": lack.residual.std_deg,
@@ -218,7 +218,7 @@ def _noise(lack: LackOfFit) -> dict[str, Any]:
 
 
 def _after_deg(findings: Findings) -> FloatArray:
-    """(n,) what the final model leaves of the readings, in degrees of elevation."""
+    """Return (n,) what the final model leaves of the readings, in degrees of elevation."""
     return np.asarray(findings.fitted.residuals[:, 0] / _scale(findings.responses, findings))
 
 
@@ -253,7 +253,7 @@ def trace(
         plan: of the latest run, for the follow-up to keep its settings.
         limits_deg: soft limits of the rig; the range of the poses where there is none.
         deciding: of the latest run, the poses that serve to decide; the others confirm.
-        progress: is told the share of searches done.
+        progress: is called with the share of searches done.
 
     Raises:
         DiagnosisError: the poses cannot be diagnosed; the message says why.

@@ -16,7 +16,7 @@ UNNAMED = "unnamed"
 
 
 def _registered(module: str) -> Effect:
-    """The effect that a module of this package binds; EffectError where it binds none of that name."""
+    """Return the effect that a module of this package binds; EffectError where it binds none of that name."""
     effect = getattr(import_module(f"{__name__}.{module}"), "EFFECT", None)
     if not isinstance(effect, Effect):
         raise EffectError(f"{__name__}.{module} lacks EFFECT, the effect that it is there to describe")
@@ -32,7 +32,7 @@ CATALOGUE: tuple[Effect, ...] = tuple(effect for name, effect in EFFECTS.items()
 
 
 def effect_of(name: str) -> Effect:
-    """The effect of a name; ApplyError where this version knows none."""
+    """Return the effect of a name; ApplyError where this version knows none."""
     if name not in EFFECTS:
         raise ApplyError(f"the effect {name!r} is not in the catalogue of this version of calrig")
     return EFFECTS[name]
@@ -45,7 +45,7 @@ def covariate_of(name: str) -> Covariate:
 
 
 def _column(r: Responses, name: str) -> FloatArray | None:
-    """(n,) a column of that name, or the product of those that it is made of."""
+    """Return (n,) a column of that name, or the product of those that it is made of."""
     if name in r.covariates or TIMES not in name:
         return r.covariates.get(name)
     factors = [covariate_of(factor).of(r) for factor in name.split(TIMES)]

@@ -52,7 +52,7 @@ def _waves(theta_deg: FloatArray, phase_deg: float) -> tuple[FloatArray, FloatAr
 
 
 def _place(r: Responses) -> Parameters | None:
-    """The phase and m by a_x, its bias aside; None where a_x is not there or does not tell them."""
+    """Return the phase and m by a_x, its bias aside; None where a_x is not there or does not tell them."""
     if r.across_g is None or not turns(r):
         return None
     s, c = sin_cos(r)
@@ -70,7 +70,7 @@ def _place(r: Responses) -> Parameters | None:
 
 
 def _possible(shape: Shape, beta: FloatArray) -> bool:
-    """Whether both waves are as small as a_x says that they must be."""
+    """Return whether both waves are as small as a_x says that they must be."""
     most_deg = shape.at.get("cross_deg", 90.0) + CROSS_AXIS_DEG
     largest = {
         "amplitude_deg": np.radians(most_deg) * most_deg / 4.0,

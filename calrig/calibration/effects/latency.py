@@ -22,7 +22,7 @@ FINER = (np.linspace(0.8, 1.25, 19), np.linspace(0.98, 1.02, 9))
 """Of the delay that a straight line through the errors against the velocity tells; of the one that leads."""
 CONSISTENT = 3.0
 """Times the delay over which the velocity was averaged, a fitted one is another: two terms that cancel.
-Smaller ones and those of the other sign are allowed, as noise has them: the gate counts on it.
+Smaller ones and those of the other sign are allowed, as noise has them: the significance test counts on it.
 """
 
 LARGEST_DELAY_S = 10.0

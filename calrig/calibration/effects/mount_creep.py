@@ -51,7 +51,7 @@ def _decades(time_s: FloatArray, began_s: float) -> FloatArray:
 
 
 def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> Shape | None:
-    """The best beginning about the one scanned."""
+    """Return the best beginning about the one scanned."""
     if shape.at["began_s"] == 0.0:
         return None
     tried = (float(factor) * shape.at["began_s"] for factor in np.geomspace(0.4, 2.5, REFINEMENTS + 1))

@@ -69,7 +69,7 @@ def _in_dwell(r: Responses, at: Parameters) -> Shape:
 
 
 def _first_after(time_s: FloatArray, starts: BoolArray, at: Parameters) -> list[int]:
-    """The poses before which it happened: of each run that was under way, or of the one known."""
+    """Return the poses before which it happened: of each run that was under way, or of the one known."""
     if "at_s" not in at:
         return []
     early, late = time_s[:-1] <= at["at_s"], time_s[1:] >= at["at_s"]

@@ -39,7 +39,7 @@ def spectral_window(theta_deg: FloatArray, highest: float) -> tuple[FloatArray, 
 
 @lru_cache(maxsize=8)
 def _of_angles(angles: bytes, highest: float) -> tuple[FloatArray, FloatArray]:
-    """A search asks for the window of the same angles again and again."""
+    """Return a search asks for the window of the same angles again and again."""
     theta_deg = np.frombuffer(angles)
     first = theta_deg.min()
     bin_deg = min(BIN_DEG, 1.0 / (8.0 * highest))
@@ -143,7 +143,7 @@ def _waves(theta_deg: FloatArray, period_deg: float) -> FloatArray:
 
 
 def _settled(at: Parameters, std: Parameters) -> Parameters:
-    """The order of the turn that a period is, where its standard error leaves one and no other."""
+    """Return the order of the turn that a period is, where its standard error leaves one and no other."""
     order = TURN_DEG / at["period_deg"]
     order_std = order * std["period_deg"] / at["period_deg"]
     nearest = round(order)
@@ -166,7 +166,7 @@ def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
 
 
 def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
-    """Whether the poses resolve two waves from each other; an order 1 is an eccentricity."""
+    """Return whether the poses resolve two waves from each other; an order 1 is an eccentricity."""
     own, its = (s.at.get("period_deg", TURN_DEG if s.series == THE_TURN else 0.0) for s in (shape, other))
     return own == 0.0 or its == 0.0 or abs(1.0 / own - 1.0 / its) >= APART / r.arc_deg
 
@@ -179,7 +179,7 @@ def _on_reading_deg(p: Applied) -> FloatArray:
 
 
 def _possible(shape: Shape, beta: FloatArray) -> bool:
-    """An axis that turns on as its stage does: a steeper wave would turn it back."""
+    """Return an axis that turns on as its stage does: a steeper wave would turn it back."""
     return bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"])
 
 

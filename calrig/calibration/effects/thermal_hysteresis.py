@@ -64,7 +64,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 
 
 def _delayed_c(temperature_c: FloatArray, time_s: FloatArray, starts: BoolArray, lag_s: float) -> FloatArray:
-    """(n,) the temperature through the lag, exact where it goes straight from pose to pose."""
+    """Return (n,) the temperature through the lag, exact where it goes straight from pose to pose."""
     delayed = temperature_c.copy()
     for k in range(1, len(delayed)):
         step_s = time_s[k] - time_s[k - 1]

@@ -74,7 +74,7 @@ TIMES = "·"
 
 
 def unit_of_column(name: str) -> str:
-    """The unit as a person writes it; empty where the name carries none that is known."""
+    """Return the unit as a person writes it; empty where the name carries none that is known."""
     if TIMES in name:
         units = [unit_of_column(factor) for factor in name.split(TIMES)]
         return TIMES.join(units) if all(units) else ""
@@ -87,7 +87,7 @@ def unit_of_column(name: str) -> str:
 
 
 def is_circle(name: str) -> bool:
-    """Whether a column is an angle, which 360° more leave where it is."""
+    """Return whether a column is an angle, which 360° more leave where it is."""
     return unit_of_column(name) == UNITS["deg"]
 
 
@@ -99,25 +99,25 @@ MOST_FACTORS = 6
 
 
 def standardised(column: FloatArray) -> FloatArray:
-    """A column less its mean, over its standard deviation."""
+    """Return a column less its mean, over its standard deviation."""
     return np.asarray((column - column.mean()) / column.std(), dtype=np.float64)
 
 
 def circle(column_deg: FloatArray, orders: int) -> FloatArray:
-    """(n, 2·orders) sines and cosines of an angle's multiples."""
+    """Return (n, 2·orders) sines and cosines of an angle's multiples."""
     angles = np.radians(column_deg)[:, None] * np.arange(1, orders + 1)
     waves = np.stack([np.sin(angles), np.cos(angles)], axis=2)
     return np.asarray(waves.reshape(len(column_deg), -1), dtype=np.float64)
 
 
 def arc_deg(column_deg: FloatArray) -> float:
-    """How much of a circle the angles of a column cover: all of it but the widest gap between them."""
+    """Return how much of a circle the angles of a column cover: all of it but the widest gap between them."""
     around = np.sort(np.mod(column_deg, 360.0))
     return 360.0 - float(np.diff(around, append=around[0] + 360.0).max())
 
 
 def rate(r: Responses, name: str) -> FloatArray | None:
-    """(n,) change of a column per second; None without times that advance within each run."""
+    """Return (n,) change of a column per second; None without times that advance within each run."""
     column, runs = _continuous(r, name), _runs(r)
     if runs is None:
         return None
@@ -176,13 +176,13 @@ def _as_factor(name: str, columns: Mapping[str, FloatArray]) -> FloatArray:
 
 
 def _continuous(r: Responses, name: str) -> FloatArray:
-    """A column whose steps are what happened: an angle does not jump by a turn."""
+    """Return a column whose steps are what happened: an angle does not jump by a turn."""
     column = r.covariates[name]
     return np.degrees(np.unwrap(np.radians(column))) if is_circle(name) else column
 
 
 def _runs(r: Responses) -> list[tuple[slice, FloatArray]] | None:
-    """Each run and its times; None where they are not known or do not advance."""
+    """Return each run and its times; None where they are not known or do not advance."""
     if r.time_s is None:
         return None
     ends = [*np.flatnonzero(_firsts(r.starts))[1:], len(r)]
@@ -197,7 +197,7 @@ def _runs(r: Responses) -> list[tuple[slice, FloatArray]] | None:
 
 
 def _firsts(starts: BoolArray) -> BoolArray:
-    """Where runs begin; the first pose that is left of some begins one too."""
+    """Return where runs begin; the first pose that is left of some begins one too."""
     return np.asarray(np.append(True, starts[1:]), dtype=np.bool_)
 
 
@@ -214,7 +214,7 @@ Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
 
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
-    """Every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
+    """Return every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
     if turns(r):
         yield from _of_elevation(r)
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
@@ -282,7 +282,7 @@ def _counts(z: FloatArray) -> list[int]:
 
 
 def _of_the_reading(column: FloatArray, name: str) -> Iterator[Shape]:
-    """What gravity does not see: the column reaches the filter, or what is added to its output."""
+    """Return what gravity does not see: the column reaches the filter, or what is added to its output."""
     alone = {"linear": standardised(column)}
     alone |= {f"smooth {count}": natural_spline(column, count) for count in _counts(column)}
     for form, columns in alone.items():
@@ -290,7 +290,7 @@ def _of_the_reading(column: FloatArray, name: str) -> Iterator[Shape]:
 
 
 def _in_time(r: Responses, name: str, at: Parameters) -> Iterator[Shape]:
-    """A column's rate, and the column behind a first-order lag."""
+    """Return a column's rate, and the column behind a first-order lag."""
     change = rate(r, name)
     if change is not None and np.ptp(change) > 0.0:
         yield _shape(tilted(standardised(change)), name, "rate")
@@ -310,7 +310,7 @@ def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
 
 
 def natural_spline(z: FloatArray, count: int) -> FloatArray:
-    """(n, ≤ count) basis of the natural cubic splines with knots at quantiles, the constant left out.
+    """Return (n, ≤ count) basis of the natural cubic splines with knots at quantiles, the constant left out.
 
     Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, equations 5.4 and 5.5.
     """

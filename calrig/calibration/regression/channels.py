@@ -47,7 +47,7 @@ class Channels:
         self.turns = float(np.ptp(theta)) > ONE_ANGLE_DEG
 
     def add(self, name: str, values: FloatArray, size: float, *, bias_each_run: bool, scaled: bool) -> None:
-        """Takes a response; `size` is that of what was subtracted to get it, in its own unit."""
+        """Add a response; `size` is that of what was subtracted to get it, in its own unit."""
         self._begin(name, values, np.ones(len(values), dtype=bool), size)
         groups = range(self._runs) if bias_each_run else [None]
         for run in groups:
@@ -57,7 +57,7 @@ class Channels:
             self.base_columns.append((f"{name}.scale", name, self._theta / SCALE_UNIT_DEG))
 
     def add_moves(self, felt_deg: FloatArray, dwells: BoolArray) -> None:
-        """Takes the gyro's integral (n,) over the move into each pose, degrees; NaN where it is not known.
+        """Add the gyro's integral (n,) over the move into each pose, degrees; NaN where it is not known.
 
         The bias taken off the moves of a pass of a sweep, up to that into the dwell (n,) at its end, is that
         of the dwells beside it: they share what it is wrong by, the more where the unit slipped in a dwell.
@@ -73,13 +73,13 @@ class Channels:
         self.base_columns.append((f"{MOVE}.gain", MOVE, gain))
 
     def let_gains_warm(self, temperature_c: FloatArray | None) -> None:
-        """Lets |accelerometer| follow temperature: all gains that drift alike leave the angle as it is."""
+        """Let |accelerometer| follow temperature: all gains that drift alike leave the angle as it is."""
         if temperature_c is not None and np.ptp(temperature_c) > 0.0:
             warmer = (temperature_c - temperature_c.mean()) / np.ptp(temperature_c)
             self.base_columns.append((f"{NORM}.temperature", NORM, warmer))
 
     def free_first(self) -> None:
-        """Lets the first pose of each run lie where it will: the move into it is not known.
+        """Free the first pose of each run: the move into it is not known.
 
         It may have been a long one that had not settled, in the filter or the mount, from either side of the
         backlash or none at all: one pose would then speak for an effect that all the others deny.
@@ -98,7 +98,7 @@ class Channels:
         self.known.append(known)
 
     def base(self) -> FloatArray:
-        """(n, J, p) the columns of bias and scale, in the order of `base_columns`."""
+        """Return (n, J, p) the columns of bias and scale, in the order of `base_columns`."""
         stacked = np.zeros((len(self._theta), len(self.names), len(self.base_columns)))
         for k, (_, channel, column) in enumerate(self.base_columns):
             stacked[:, self.names.index(channel), k] = column
@@ -108,7 +108,7 @@ class Channels:
 def add_witnesses(
     table: Channels, poses: Sequence[Pose], theta: FloatArray, move: FloatArray, starts: BoolArray
 ) -> None:
-    """Takes the witnesses that all poses have: accelerometer, gyro over the moves, the stage's own report.
+    """Add the witnesses that all poses have: accelerometer, gyro over the moves, the stage's own report.
 
     Args:
         table: with the reading.
@@ -139,12 +139,12 @@ def add_witnesses(
 
 
 def turn_size(*angles_deg: FloatArray) -> float:
-    """The largest of some angles, a turn at least: differences of angles are taken modulo 360°."""
+    """Return the largest of some angles, a turn at least: differences of angles are taken modulo 360°."""
     return max(360.0, *(float(np.nanmax(np.abs(angle), initial=0.0)) for angle in angles_deg))
 
 
 def _left_by_line(x: FloatArray, y: FloatArray) -> bool:
-    """Whether a line leaves anything of y: a witness that it explains exactly was never measured."""
+    """Return whether a line leaves anything of y: a witness that it explains exactly was never measured."""
     if np.ptp(x) == 0.0:
         return bool(np.ptp(y) > 0.0)
     left = y - np.polyval(np.polyfit(x, y, 1), x)

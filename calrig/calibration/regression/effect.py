@@ -36,13 +36,13 @@ class VectorInC:
 
 
 def sin_cos(felt_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) a_y and a_z of a sensor without errors at elevations in degrees, g."""
+    """Return (n,) a_y and a_z of a sensor without errors at elevations in degrees, g."""
     angle = np.radians(felt_deg)
     return np.sin(angle), np.cos(angle)
 
 
 def turned_vector(felt_deg: FloatArray, error: VectorError) -> tuple[FloatArray, FloatArray]:
-    """What errors of all effects together do to the measured vector.
+    """Return what errors of all effects together do to the measured vector.
 
     Args:
         felt_deg: (n,) elevation of the sensor, degrees.
@@ -197,7 +197,7 @@ class Circumstances:
         return cls(**{**r.covariates, "temperature_c": r.temperature_c})
 
     def get(self, name: str) -> FloatArray | None:
-        """(n,) the column of a name; None where it is not known of every pose."""
+        """Return (n,) the column of a name; None where it is not known of every pose."""
         return self._columns.get(name)
 
 
@@ -216,21 +216,21 @@ class Applied:
     felt_deg: FloatArray | None = None
 
     def value(self, name: str, default: float | None = 0.0) -> float:
-        """A parameter; ApplyError where it is absent and has no default."""
+        """Return a parameter; ApplyError where it is absent and has no default."""
         found = self.parameters.get(name, default)
         if found is None:
             raise ApplyError(f"the effect {self.effect} needs its parameter {name}")
         return found
 
     def column(self, name: str) -> FloatArray:
-        """(n,) one of the circumstances; ApplyError where it is not known of every pose."""
+        """Return (n,) one of the circumstances; ApplyError where it is not known of every pose."""
         values = self.given.get(name)
         if values is None:
             raise ApplyError(f"the effect {self.effect} needs {name} of every pose")
         return values
 
     def sin_cos(self) -> tuple[FloatArray, FloatArray]:
-        """What a sensor without errors measures of a_y and a_z, g."""
+        """Return what a sensor without errors measures of a_y and a_z, g."""
         return sin_cos(self.theta_deg if self.felt_deg is None else self.felt_deg)
 
     def warmer_c(self) -> FloatArray:
@@ -238,7 +238,7 @@ class Applied:
         return self.column("temperature_c") - self.value("reference_c", None)
 
     def moved_deg(self) -> FloatArray:
-        """The last move; 0 where it is not known."""
+        """Return the last move; 0 where it is not known."""
         return np.asarray(np.nan_to_num(self.column("move_deg"), nan=0.0), dtype=np.float64)
 
 
@@ -330,7 +330,7 @@ class Effect:
             raise EffectError(f"the effect {self.name!r} has a C term, and does not stay with the unit")
 
     def shapes(self, r: Responses) -> Iterator[Shape]:
-        """Every form at every place that the search considers in these poses."""
+        """Return every form at every place that the search considers in these poses."""
         for at in ({},) if self.scan is None else self.scan(r):
             yield from self.forms(r, at)
 

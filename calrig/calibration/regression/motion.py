@@ -41,7 +41,7 @@ SHORTEST_STOP_S = 1.0
 
 
 def has_history(poses: Sequence[Pose]) -> bool:
-    """Whether a column tells that the poses come in the order measured."""
+    """Return whether a column tells that the poses come in the order measured."""
     return any(_tells(pose, HISTORY) for pose in poses)
 
 
@@ -55,7 +55,7 @@ def is_sorted(poses: Sequence[Pose]) -> bool:
 
 
 def moves_deg(poses: Sequence[Pose]) -> FloatArray:
-    """(n,) move into each pose of a run, degrees; NaN where there is none that is known.
+    """Return (n,) move into each pose of a run, degrees; NaN where there is none that is known.
 
     That is the first pose, all of a table without history, and all of a log taken on the move, whose readings
     follow on no move that had ended.
@@ -83,18 +83,18 @@ class Motion:
     to_dps: FloatArray
 
     def mean_dps(self, lag_s: float) -> FloatArray:
-        """(n,) mean velocity over a time before each reading; after it where `lag_s` is below 0."""
+        """Return (n,) mean velocity over a time before each reading; after it where `lag_s` is below 0."""
         near = (self.since_s, self.from_dps) if lag_s > 0.0 else (self.until_s, self.to_dps)
         share = np.minimum(near[0] / max(abs(lag_s), SHORTEST_LAG_S), 1.0)
         return np.asarray(share * self.velocity_dps + (1.0 - share) * near[1], dtype=np.float64)
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> Motion:
-        """The same of some of the readings."""
+        """Return the same of some of the readings."""
         return Motion(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 def joined(motions: Sequence[Motion | None]) -> Motion | None:
-    """The motion of several runs; None where it is not known of one."""
+    """Return the motion of several runs; None where it is not known of one."""
     known = [motion for motion in motions if motion is not None]
     if len(known) < len(motions):
         return None
@@ -144,7 +144,7 @@ def _derived(poses: Sequence[Pose]) -> Motion:
 
 
 def _abrupt(times_s: FloatArray, pace: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """When the motion changed abruptly, from which velocity and to which, given those between n poses.
+    """Return when the motion changed abruptly, from which velocity and to which, given those between n poses.
 
     That is where the strokes before and after an interval meet within it.
     """
@@ -175,7 +175,7 @@ def _times_s(poses: Sequence[Pose]) -> FloatArray:
 
 
 def _steps_deg(poses: Sequence[Pose]) -> FloatArray:
-    """(n,) elevation less that of the pose before, NaN for the first.
+    """Return (n,) elevation less that of the pose before, NaN for the first.
 
     Where all elevations lie within one turn, a step of more than half of it went the short way round, unless
     the sense of the move says that it went the long one.
@@ -194,7 +194,7 @@ def _tells(pose: Pose, columns: Sequence[str]) -> bool:
 
 
 def travel_deg(move_deg: FloatArray, approach: FloatArray | None, starts: BoolArray) -> FloatArray:
-    """(n,) way in one sense since the stage last turned; infinite where nothing says that it is short.
+    """Return (n,) way in one sense since the stage last turned; infinite where nothing says that it is short.
 
     Args:
         move_deg: (n,) into each pose; 0 or NaN where it is not known.
@@ -213,12 +213,12 @@ def travel_deg(move_deg: FloatArray, approach: FloatArray | None, starts: BoolAr
 
 
 def slack_deg(play_deg: float, travelled_deg: FloatArray) -> FloatArray:
-    """(n,) what is left of a play, after some way."""
+    """Return (n,) what is left of a play, after some way."""
     return np.maximum(abs(play_deg) - travelled_deg, 0.0)
 
 
 def stretches_deg(poses: Sequence[Pose]) -> FloatArray:
-    """(n,) way of the stage during each pose of a run, degrees; 0 where it stood, or nothing tells.
+    """Return (n,) way of the stage during each pose of a run, degrees; 0 where it stood, or nothing tells.
 
     A stretch lasts as long as its samples, and turns as its pass does from the first to the last middle.
     """
@@ -234,7 +234,7 @@ def stretches_deg(poses: Sequence[Pose]) -> FloatArray:
 
 
 def kept_in_mean(stretch_deg: FloatArray, period_deg: float) -> FloatArray:
-    """(n,) share of a wave's amplitude that is left in the mean over each way (n,)."""
+    """Return (n,) share of a wave's amplitude that is left in the mean over each way (n,)."""
     return np.asarray(np.sinc(stretch_deg / period_deg), dtype=np.float64)
 
 
@@ -252,7 +252,7 @@ class Behind(NamedTuple):
 def behind(
     time_s: FloatArray, theta_deg: FloatArray, stretch_deg: FloatArray, starts: BoolArray, lag_s: float
 ) -> Behind:
-    """What follows the stage through a lag, in a sweep whose first pose had settled.
+    """Return what follows the stage through a lag, in a sweep whose first pose had settled.
 
     Between two stretches the stage turns evenly, before one it stood and behind one it comes to a stand, all
     at one velocity; dwells are as long as stretches are.
@@ -299,7 +299,7 @@ LEAST_GAIN_ERROR = 0.002
 
 
 def filter_share(poses: Sequence[Pose]) -> FloatArray:
-    """(n,) κ of each pose: an error of the gyro of 1 % adds κ·1 % of the last move to its reading.
+    """Return (n,) κ of each pose: an error of the gyro of 1 % adds κ·1 % of the last move to its reading.
 
     A gyro that is wrong by g errs by g·rate(t) during the move. With h the steady filter's response from rate
     to angle (`SteadyStateGain`), T the duration of the move, s and d settling and dwell, and the error spread
@@ -347,14 +347,14 @@ def _dwell_s(pose: Pose, filtering: Filtering) -> float:
 
 
 def _between_s(poses: Sequence[Pose], settle_s: FloatArray, dwell_s: FloatArray) -> FloatArray:
-    """(n,) what lies between the dwell before and the settling; 0 where no times are known."""
+    """Return (n,) what lies between the dwell before and the settling; 0 where no times are known."""
     times = np.array([np.nan if pose.time_s is None else pose.time_s for pose in poses])
     between = np.diff(times, prepend=np.nan) - settle_s - (dwell_s + np.roll(dwell_s, 1)) / 2.0
     return np.maximum(np.nan_to_num(between, nan=0.0), 0.0)
 
 
 def _travel_s(way_deg: float, filtering: Filtering) -> float:
-    """How long the stage turns so far, by a trapezoid of velocity; inf where that is not known."""
+    """Return how long the stage turns so far, by a trapezoid of velocity; inf where that is not known."""
     velocity, acceleration = filtering.velocity_dps, filtering.acceleration_dps2
     if velocity is None or acceleration is None or not way_deg > 0.0:
         return math.inf

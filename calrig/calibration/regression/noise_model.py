@@ -92,7 +92,7 @@ class LaggedProducts:
 
 
 def lagged_products(residuals: FloatArray, starts: BoolArray, rounding: FloatArray) -> LaggedProducts:
-    """Those of residuals (b, n, J), which begin anew at `starts` (n,), with errors of rounding (J,)."""
+    """Those of residuals (b, n, J), which begin again at `starts` (n,), with errors of rounding (J,)."""
     n = len(starts)
     later, earlier, ends = residuals[:, 1:], residuals[:, :-1], residuals[:, :: max(n - 1, 1)]
     if starts[1:].any():
@@ -127,11 +127,11 @@ class NoiseModel:
     rho: FloatArray
 
     def whiten(self, x: FloatArray, starts: BoolArray, share: float = 1.0) -> FloatArray:
-        """Innovations of x (…, n, J) in the rotated channels, with `share` of rho undone."""
+        """Return innovations of x (…, n, J) in the rotated channels, with `share` of rho undone."""
         return np.moveaxis(self.innovations(self.rotated(x), starts, share), 0, -1)
 
     def floor(self, rounding: FloatArray) -> FloatArray:
-        """(J,) variance in each rotated channel of errors of rounding (J,) in the responses.
+        """Return (J,) variance in each rotated channel of errors of rounding (J,) in the responses.
 
         Residuals of exact readings are what rounding left of them, in an order that the processor's own
         kernels decide. A sum of n products is right to n·eps times their size (Higham, Accuracy and
@@ -141,12 +141,12 @@ class NoiseModel:
         return np.asarray(rounding**2 @ self.rotation**2, dtype=np.float64)
 
     def rotated(self, x: FloatArray) -> FloatArray:
-        """(J, …, n) independent channels of x (…, n, J), in memory one after the other."""
+        """Return (J, …, n) independent channels of x (…, n, J), in memory one after the other."""
         flat = self.rotation.T @ x.reshape(-1, x.shape[-1]).T
         return np.asarray(flat.reshape(-1, *x.shape[:-1]), dtype=np.float64)
 
     def innovations(self, rotated: Real, starts: BoolArray, share: float = 1.0) -> Real:
-        """Innovations (J, …, n) of rotated channels, with `share` of rho undone."""
+        """Return innovations (J, …, n) of rotated channels, with `share` of rho undone."""
         rho = (self.rho * share).astype(rotated.dtype).reshape(-1, *(1,) * (rotated.ndim - 1))
         gain = 1.0 / np.sqrt(1.0 - rho**2)
         white = rotated.copy()  # the first pose, and the first of each run, follow on nothing
@@ -156,7 +156,7 @@ class NoiseModel:
         return white
 
     def colour(self, innovations: FloatArray, starts: BoolArray) -> FloatArray:
-        """The residuals (…, n, J) whose innovations are given: the inverse of `whiten`."""
+        """Return the residuals (…, n, J) whose innovations are given: the inverse of `whiten`."""
         rotated = innovations.copy()
         gain = np.sqrt(1.0 - self.rho**2)
         for k in range(1, rotated.shape[-2]):
@@ -185,7 +185,7 @@ class Fit:
 
 
 def fit(r: Responses, columns: FloatArray) -> Fit:
-    """Fits coefficients and noise in turn until they agree.
+    """Fit coefficients and noise in turn until they agree.
 
     Args:
         r: the responses.
@@ -209,7 +209,7 @@ class Fits:
 
 
 def fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
-    """Fits b sets of responses at once.
+    """Fit b sets of responses at once.
 
     Args:
         r: the responses, for what their poses have in common.
@@ -267,7 +267,7 @@ def _by_channel(columns: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def orthonormal(gram: FloatArray, size: FloatArray) -> FloatArray:
-    """(b, p, p) what turns columns into orthonormal ones, as many as they are worth, and 0 beyond.
+    """Return (b, p, p) what turns columns into orthonormal ones, as many as they are worth, and 0 beyond.
 
     Args:
         gram: (b, p, p) products of the columns.
@@ -295,7 +295,7 @@ def _one_after_the_other(gram: FloatArray) -> FloatArray:
 
 
 def _unit(power: FloatArray) -> FloatArray:
-    """(b,) what makes columns of sums of squares (b,) unit ones; 0 of what is nothing."""
+    """Return (b,) what makes columns of sums of squares (b,) unit ones; 0 of what is nothing."""
     there = power > SINGULAR
     return np.where(there, 1.0 / np.sqrt(np.where(there, power, 1.0)), 0.0)
 
@@ -318,13 +318,13 @@ def _innovations(
 
 
 def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: float = 1.0) -> FloatArray:
-    """Whitened columns (n, J, p) as one matrix (n·J, p)."""
+    """Return whitened columns (n, J, p) as one matrix (n·J, p)."""
     white = noise.whiten(np.moveaxis(columns, 2, 0), starts, share)
     return white.reshape(len(white), -1).T
 
 
 def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased: bool = False) -> NoiseModel:
-    """The noise model of residuals.
+    """Return the noise model of residuals.
 
     Args:
         residuals: (n, J) of a fit.
@@ -426,7 +426,7 @@ def _lagged(rows: FloatArray, r: Responses) -> FloatArray:
 
 
 def _products(lagged: FloatArray, rows: FloatArray, r: Responses) -> FloatArray:
-    """(k, 3·J·J, v·w) products of columns as `_lagged` gives them with others (k, w, n·J)."""
+    """Return (k, 3·J·J, v·w) products of columns as `_lagged` gives them with others (k, w, n·J)."""
     (k, w), (n, channels) = rows.shape[:2], r.values.shape
     v = lagged.shape[1] // (3 * channels)
     others = np.swapaxes(rows.reshape(k, w, n, channels), 1, 2).reshape(k, n, w * channels)

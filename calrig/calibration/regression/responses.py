@@ -179,7 +179,7 @@ class Responses:
         return replace(self, base=base, base_names=(*self.base_names, *names))
 
     def steps(self, f: FloatArray) -> FloatArray:
-        """(n, …) change of f from the pose before, within a run: what the gyro sees of it."""
+        """Return (n, …) change of f from the pose before, within a run: what the gyro sees of it."""
         change = np.zeros_like(f)
         change[1:] = np.diff(f, axis=0)
         change[self.starts] = 0.0
@@ -187,7 +187,7 @@ class Responses:
 
 
 def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None = None) -> Responses:
-    """The poses of one or several runs of a unit as responses.
+    """Return the poses of one or several runs of a unit as responses.
 
     Args:
         runs: each run's poses in the order measured (none excluded). All have one bias; |accelerometer| one
@@ -249,13 +249,13 @@ def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None =
 
 
 def _alone(run: Sequence[Pose]) -> BoolArray:
-    """(n,) whether no pose of a run follows on the one before."""
+    """Return (n,) whether no pose of a run follows on the one before."""
     return np.full(len(run), is_sorted(run))
 
 
 def names_of(
     runs: Sequence[Sequence[Pose]], kept: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None
 ) -> tuple[str, ...]:
-    """What the runs are called that have poses left."""
+    """Return what the runs are called that have poses left."""
     given = iter(zip(runs, run_ids or map(str, range(len(runs))), strict=True))
     return tuple(next(name for run, name in given if any(p is left[0] for p in run)) for left in kept)

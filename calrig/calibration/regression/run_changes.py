@@ -55,7 +55,7 @@ def _changes(r: Responses, *, ended: bool) -> list[Change]:
 
 
 def since(r: Responses, change: Change) -> FloatArray:
-    """(n,) what a difference counts in each pose: 1 after the change; of what ended, −1 before it."""
+    """Return (n,) what a difference counts in each pose: 1 after the change; of what ended, −1 before it."""
     return np.asarray((r.run >= change.run).astype(np.float64) - float(change.ended), dtype=np.float64)
 
 
@@ -84,13 +84,13 @@ def in_words(change: Change | None) -> str:
 
 
 def is_level(r: Responses, columns: FloatArray) -> bool:
-    """Whether columns (n, J, p) say no more of the reading than that runs have different biases."""
+    """Return whether columns (n, J, p) say no more of the reading than that runs have different biases."""
     if len(r.run_ids) < 2:
         return False
     return all(np.ptp(columns[r.run == run, 0], axis=0).max(initial=0.0) == 0.0 for run in np.unique(r.run))
 
 
 def with_free_levels(r: Responses) -> Responses:
-    """The responses with a bias for each run: whatever was done between them may have moved it."""
+    """Return the responses with a bias for each run: whatever was done between them may have moved it."""
     later = r.run[:, None] >= np.arange(1, len(r.run_ids))
     return r.with_free(later.astype(np.float64), "level")

@@ -44,22 +44,22 @@ SMALLEST_FLOAT = float(np.finfo(np.float32).tiny)
 
 
 def turned(r: Responses, f: FloatArray) -> dict[str, FloatArray]:
-    """What turns the sensor itself: reading and accelerometer see f, the gyro its change."""
+    """Return what turns the sensor itself: reading and accelerometer see f, the gyro its change."""
     return {READING: f, ANGLE: f, MOVE: r.steps(f)}
 
 
 def tilted(f: FloatArray) -> dict[str, FloatArray]:
-    """What changes the angle too slowly or too seldom for the gyro, or inside the accelerometer."""
+    """Return what changes the angle too slowly or too seldom for the gyro, or inside the accelerometer."""
     return {READING: f, ANGLE: f}
 
 
 def turns(r: Responses) -> bool:
-    """Whether the poses stand at more than one elevation."""
+    """Return whether the poses stand at more than one elevation."""
     return float(np.ptp(r.theta_deg)) > 1.0
 
 
 def sin_cos(r: Responses) -> tuple[FloatArray, FloatArray]:
-    """Sine and cosine of θ."""
+    """Return sine and cosine of θ."""
     theta = np.radians(r.theta_deg)
     return np.sin(theta), np.cos(theta)
 
@@ -135,7 +135,7 @@ def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
 
 
 def one_leg(r: Responses) -> bool:
-    """Whether no run's temperature came back, by a share of its range, from where it had gone."""
+    """Return whether no run's temperature came back, by a share of its range, from where it had gone."""
     if r.temperature_c is None:
         return True
     runs = np.split(r.temperature_c, np.flatnonzero(r.starts))
@@ -151,12 +151,12 @@ def said_of_one_leg(r: Responses, _shape: Shape) -> list[str]:
 
 
 def _rise(values: FloatArray) -> float:
-    """The most that a series ever lies above what it was before."""
+    """Return the most that a series ever lies above what it was before."""
     return float((values - np.minimum.accumulate(values)).max(initial=0.0))
 
 
 def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
-    """Whether coefficients are no larger than the given ones, by the names of their parameters."""
+    """Return whether coefficients are no larger than the given ones, by the names of their parameters."""
 
     def possible(shape: Shape, beta: FloatArray) -> bool:
         return all(abs(b) <= most[name] for name, b in zip(shape.parameters, beta, strict=False))
@@ -165,12 +165,12 @@ def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
 
 
 def amplitude_within(most_deg: float) -> Callable[[Shape, FloatArray], bool]:
-    """Whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
+    """Return whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
     return lambda _shape, beta: float(np.hypot(*beta[:2])) <= most_deg
 
 
 def c_literal(value: float) -> str:
-    """A C `float` constant, in brackets where it is negative.
+    """Return a C `float` constant, in brackets where it is negative.
 
     Raises:
         ValueError: it is none that a `float` holds.
@@ -183,12 +183,12 @@ def c_literal(value: float) -> str:
 
 
 def c_warmer(p: Parameters) -> str:
-    """The C expression of the temperature less its reference."""
+    """Return the C expression of the temperature less its reference."""
     return f"(temperature_c - {c_literal(p['reference_c'])})"
 
 
 def size_deg(shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, float | None]:
-    """Peak to peak of what a shape adds to the reading, over its poses, with its standard error."""
+    """Return peak to peak of what a shape adds to the reading, over its poses, with its standard error."""
     columns = shape.shares[READING].reshape(-1, len(beta))
     fitted = columns @ beta
     swing = columns[int(np.argmax(fitted))] - columns[int(np.argmin(fitted))]

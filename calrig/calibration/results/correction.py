@@ -53,7 +53,7 @@ def effects_on_reading_deg(
     given: Circumstances | None = None,
     felt_deg: FloatArray | None = None,
 ) -> FloatArray:
-    """(n,) what several effects together add to the readings of n poses, degrees.
+    """Return (n,) what several effects together add to the readings of n poses, degrees.
 
     Args:
         effects: names of the catalogue, each with values by the contract's names; a value that is absent
@@ -93,7 +93,7 @@ def fit_line_with_effects(
     effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
 ) -> Line:
-    """Bias and scale of what is left of the readings once the effects are taken out."""
+    """Return bias and scale of what is left of the readings once the effects are taken out."""
     line = fit_line(theta_deg, reading_deg - effects_on_reading_deg(effects, theta_deg, given))
     for _ in range(ITERATIONS):  # where the sensor's axes lie follows from bias and scale themselves
         felt_deg = felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
@@ -105,7 +105,7 @@ def fit_line_with_effects(
 
 
 def felt_elevation_deg(theta_deg: FloatArray, bias_deg: float, scale: float | None) -> FloatArray:
-    """(n,) elevations of the sensor itself, whose axes its errors belong to."""
+    """Return (n,) elevations of the sensor itself, whose axes its errors belong to."""
     return bias_deg + (1.0 if scale is None else scale) * theta_deg
 
 
@@ -116,7 +116,7 @@ def calibrated_elevation_deg(
     effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
 ) -> FloatArray:
-    """(n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°, on the turn about 0.
+    """Return (n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°, on the turn about 0.
 
     NaN where one reading stands for many elevations. Newton's iteration from the θ without effects; those
     that depend on the elevation are read at θ itself.
@@ -174,7 +174,7 @@ def effects_at_rest(document: Mapping[str, Any]) -> tuple[list[AppliedEffect], l
 
 
 def columns_followed(effects: Sequence[AppliedEffect]) -> list[str]:
-    """Names of the columns beside the elevation that effects of a unit at rest are functions of."""
+    """Return names of the columns beside the elevation that effects of a unit at rest are functions of."""
     covariates = [effect_of(name).covariate for name, _ in effects]
     followed = [one.name for one in covariates if one is not ELEVATION]
     return sorted({column for name in followed for column in name.split(TIMES)})
@@ -214,7 +214,7 @@ class Application:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Application:
-        """What a document says.
+        """Return what a document says.
 
         Raises:
             ApplyError: an effect has no formula, bias or scale are not known, or it is no such document.
@@ -268,7 +268,7 @@ class Application:
         temperature_c: FloatArray | None,
         others: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
-        """(n,) elevations; NaN where a reading stands for many.
+        """Return (n,) elevations; NaN where a reading stands for many.
 
         Args:
             reading_deg: (n,).
@@ -282,7 +282,7 @@ class Application:
         return calibrated_elevation_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
 
     def std_deg(self, elevation_deg: FloatArray) -> FloatArray:
-        """(n,) standard uncertainty (k = 1) of elevations relative to their mean over the range.
+        """Return (n,) standard uncertainty (k = 1) of elevations relative to their mean over the range.
 
         Each from one reading as noisy as those of the calibration. NaN beyond the range, and where the
         document does not know it. With C the covariance of bias and scale (GUM, JCGM 100:2008, 5.2.2), of
@@ -305,7 +305,7 @@ class Application:
         return np.where(np.abs(elevation_deg - at_deg) > self._tolerated_deg(std_deg), np.nan, std_deg)
 
     def beyond_range(self, elevation_deg: FloatArray) -> FloatArray:
-        """(n,) how far elevations are beyond the range, degrees; 0 where that is hardly so."""
+        """Return (n,) how far elevations are beyond the range, degrees; 0 where that is hardly so."""
         at_deg = np.clip(elevation_deg, *self.range_deg)
         beyond = np.abs(elevation_deg - at_deg)
         return np.where(beyond > self._tolerated_deg(self.std_deg(at_deg)), beyond, 0.0)
@@ -324,7 +324,7 @@ class Application:
 def _accelerometer(
     document: Mapping[str, Any], effects: Sequence[AppliedEffect]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """The matrix, unless line and effects hold the axes' errors already: they are taken out once."""
+    """Return the matrix, unless line and effects hold the axes' errors already: they are taken out once."""
     found = document.get("accelerometer")
     by_effects = any(name in HELD_BY_MATRIX for name, _ in effects)
     is_plain = document["bias_deg"] == 0.0 and document["scale"] == 1.0 and not by_effects

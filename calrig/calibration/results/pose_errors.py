@@ -32,7 +32,7 @@ def raw_error_deg(pose: Pose, sense: int = 1) -> float:
 
 
 def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:
-    """What calibration leaves of each pose, (reading − bias)/scale − θ in degrees, in their order.
+    """Return what calibration leaves of each pose, (reading − bias)/scale − θ in degrees, in their order.
 
     None throughout where the reading does not follow the stage (`MIN_SCALE`).
     """
@@ -58,7 +58,7 @@ def as_clamped(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffec
 def corrected_residuals_deg(
     poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]
 ) -> FloatArray:
-    """(n,) calibrated elevation of each pose, effects taken out, less the stage's.
+    """Return (n,) calibrated elevation of each pose, effects taken out, less the stage's.
 
     NaN where the scale is smaller than `MIN_SCALE`.
 
@@ -72,14 +72,14 @@ def corrected_residuals_deg(
 def without_effects_deg(
     poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect], given: Circumstances | None = None
 ) -> FloatArray:
-    """(n,) readings with the effects taken out; `given` are their circumstances, where known."""
+    """Return (n,) readings with the effects taken out; `given` are their circumstances, where known."""
     theta, reading = angles_deg(poses)
     felt = felt_elevation_deg(theta, line.bias_deg, line.scale)
     return reading - effects_on_reading_deg(effects, theta, given or circumstances(poses), felt)
 
 
 def circumstances(poses: Sequence[Pose]) -> Circumstances:
-    """What effects are functions of, as far as it is known of every pose.
+    """Return what effects are functions of, as far as it is known of every pose.
 
     Further columns of the poses are among them, unless calrig itself gives their names a meaning.
     """
@@ -104,6 +104,6 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
 
 
 def angles_deg(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
-    """(n,) elevations and (n,) readings."""
+    """Return (n,) elevations and (n,) readings."""
     theta = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
     return theta, np.array([pose.reading_deg for pose in poses], dtype=np.float64)

@@ -53,7 +53,7 @@ def build_result(
     reference_says: str | None = None,
     ending: Ending = AS_PLANNED,
 ) -> FittedResult:
-    """Fits a run's poses and gathers what they say; of several mounts, the first one's.
+    """Fit a run's poses and gather their result; of several mounts, the first one's.
 
     Args:
         poses: those that count (none excluded), at least one.
