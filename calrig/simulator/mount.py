@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calrig.simulator.motion_options import MountOptions
+from calrig.simulator.config import MountOptions
 from calrig.simulator.trajectory import FloatArray, Trajectory, Turn, trapezoid
 
 STANDARD_GRAVITY_MPS2 = 9.80665

@@ -14,8 +14,7 @@ from typing import ClassVar
 
 import serial
 
-from calrig.simulator.scheduler import Waits
-from calrig.simulator.virtual_clock import VirtualClock
+from calrig.simulator.virtual_clock import VirtualClock, Waits
 from calrig.simulator.wire import MOST_WAITING_BYTES, Device
 
 serial.protocol_handler_packages.append("calrig.simulator")  # for `sim://NAME`
