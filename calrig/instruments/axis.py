@@ -1,7 +1,4 @@
-"""What an axis was sent to do, and how long that may take.
-
-A stage as an axis of elevation: zero, sense, ratio, soft limits, and moves watched to their end.
-"""
+"""A stage as an axis of elevation: zero, sign, ratio, soft limits, and moves watched until they end."""
 
 from __future__ import annotations
 

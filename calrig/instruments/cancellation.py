@@ -1,8 +1,8 @@
-"""Whether what a thread does with its devices is still wanted: asked before each exchange with one.
+"""Cancellation of what a thread does with its devices, checked before each exchange with one.
 
-So identification, homing and every wait for a device that does not answer end soon after somebody stopped
-the run, and no exchange is left half done: an answer still on its way would be taken for the next one's.
-The store asks as well, while what a run has to write waits for another program's lock.
+So identification, homing and every wait for a silent device end soon after a run was stopped. No exchange is
+left half done: a reply still on its way would be taken for the next one's. The store checks as well while a
+run's write waits for another program's lock.
 """
 
 from __future__ import annotations

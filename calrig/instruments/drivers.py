@@ -1,9 +1,9 @@
 """Devices by name: the built-in ones, and those that other packages offer as entry points.
 
-Each folder under `stages` and `boards` that is a package declares its `DEVICE`; nothing else lists them. A
-package of somebody else's adds a stage with the entry-point group `calrig.stages`, a board with
-`calrig.boards`. The entry point's name is the driver's; its object is a `StageDevice` or `BoardDevice`, which
-takes part in scans, or just what opens one.
+Each folder under `stages` and `boards` that is a package declares its `DEVICE`; nothing else lists them.
+Another package adds a stage with the entry-point group `calrig.stages`, a board with `calrig.boards`. The
+entry point's name is the driver's. Its object is a `StageDevice` or `BoardDevice`, which takes part in scans,
+or only a function that opens one.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What is accepted of a controller whose words carry no checksum: only what it says twice, or says back.
+"""Standstill and position of a stage whose replies carry no checksum: accepted only when reported twice.
 
-A stop that is seen: a stage is told to stop until it says that it stands, twice at one angle.
+`confirm_standstill` repeats the stop until two consecutive reports show the stage at rest at one angle.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Every byte to and from a port with its time: kept for the last minute, written to a file where asked for.
+"""Every byte to and from a port with its time: the last minute kept, all of it written to a file on request.
 
-A transcript is text, so that a person can read it and a test can hold it; a line a piece:
+A transcript is text, one piece a line, for people and tests:
 
     # calrig transcript of /dev/ttyUSB0
     0.000000 > 3149443f0d0a    what calrig sent, in hexadecimal, s after the port was opened

@@ -1,4 +1,4 @@
-"""Makes the content of a certificate from what the store keeps of a revision; pure."""
+"""The content of a certificate, made from what the store has of a revision; pure."""
 
 from __future__ import annotations
 

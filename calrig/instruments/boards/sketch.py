@@ -1,8 +1,8 @@
-"""Boards that already run somebody's sketch and print text: what calrig has to know of one, in a record.
+"""Boards that run a public sketch and print text: what calrig needs to know of one, as a record.
 
-The facts are the sketches' own sources (repository and path in `source`). Serial.print gives a float two
-decimals, so a line's form is known to the character; println ends it CR LF. The folders beside this file have
-a record each, of which `sketch_device` makes a device; `sketch_board` is the driver of all of them.
+The facts come from the sketches' own sources (repository and path in `source`). Serial.print gives a float
+two decimals, so a line's form is known to the character; println ends it CR LF. Each folder next to this file
+has one record, which `board_device` turns into a device; `sketch_board` is the driver of all of them.
 """
 
 from __future__ import annotations

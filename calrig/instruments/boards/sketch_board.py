@@ -1,4 +1,8 @@
-"""Boards that already run somebody's sketch and print text (CONTRACT 3.2): one class for all of them."""
+"""The driver of boards that run a public sketch and print text (CONTRACT 3.2).
+
+`SketchReader` turns bytes into whole records, `SketchSamples` turns records into samples, `SketchBoard` is
+the board on its port.
+"""
 
 from __future__ import annotations
 

@@ -1,13 +1,8 @@
-"""A sign in the stream of a `calrig` board that what comes after it was measured after it was asked for.
+"""Boards that speak the packet protocol of CONTRACT 3.1 (driver `calrig`).
 
-The sign is the answer to `ID`, which the board gives between two samples. However long samples are held up
-on their way, those behind the sign are new; a clock compared with the host's could not tell where the rig's
-run faster. Answers do not say which asking they answer, so each counts for the first that may still be
-answered.
-
-Sample packets of a `calrig` board to samples with a continuous time, damage counted and left out.
-
-Boards that speak the packet protocol of CONTRACT 3.1 (driver `calrig`).
+`Mark` tells samples measured after a request from older ones, however late they arrive. `SampleStream` turns
+sample packets into samples with a continuous time, and counts and drops damaged ones. `CalrigBoard` is the
+driver.
 """
 
 from __future__ import annotations
