@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from compiled_header import COMPILER, applied, compiled, document, test_vectors
-from hypothesis import given
-from hypothesis import strategies as st
 from issued_documents import BIAS_G, MATRIX
 
 from calrig.calibration.regression import c_literal
@@ -62,11 +60,14 @@ def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_de
 
 
 @needs_a_compiler
-@given(st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=False))
-def test_a_constant_in_the_header_is_the_float_itself(value):
+@pytest.mark.parametrize("first", [1000.0, 9.536743e-07, -8.6e15])
+def test_a_constant_in_the_header_is_the_float_itself(first):
     """A float needs FLT_DECIMAL_DIG = 9 digits to come back as it was (C11, 5.2.4.2.2)."""
-    literal = c_literal(value)
-    assert np.float32(literal.strip("()").removesuffix("f")) == np.float32(value)
+    value = np.float32(first)
+    for _ in range(200):
+        literal = c_literal(float(value))
+        assert np.float32(literal.strip("()").removesuffix("f")) == value
+        value = np.nextafter(value, np.float32(np.inf))
 
 
 def test_half_a_turn_is_positive_in_c_as_in_python(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from decimal import Decimal
+from types import SimpleNamespace
 from typing import Any
 
 import GTC
@@ -19,6 +20,8 @@ from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.verdict import verdict
 from calrig.export.calibration_document import calibration_content
 from calrig.export.certificate.content import budget_of, rounded, with_uncertainty
+from calrig.export.certificate.making import results_of
+from calrig.export.certificate.measured import Measured
 
 HARMONIC = Reference(0.29)
 REFERENCES = [
@@ -83,11 +86,31 @@ def test_gtc_has_the_same_budget(reference: Reference, ends: tuple[float, float]
         assert document["coverage_factor"] == pytest.approx(GTC.reporting.k_factor(GTC.dof(whole), 95))
 
 
+@pytest.mark.parametrize("n", [8, 26])
+@pytest.mark.parametrize("std_deg", [1e-6, 0.02])
+def test_bias_and_scale_have_gtcs_uncertainty_and_coverage_factor(std_deg: float, n: int) -> None:
+    reference, freedom = Reference(std_deg, "common", "normal"), n - 2
+    poses, document = calibrated(reference, n=n)
+    stated = {"std_deg": std_deg, "kind": "common", "distribution": "normal"}
+    document = {**document, "provenance": {"rig": {"reference": stated}}}
+    run: Any = SimpleNamespace(diagnosis=None)
+    budget = budget_of(document, reference, freedom)
+    results = results_of(document, run, Measured(poses, document, None, ()), budget, freedom, (), None)
+    worth = document["uncertainty"]
+    for k, (line, part) in enumerate(zip(results.line, ("bias_deg", "scale"), strict=True)):
+        of_poses = GTC.ureal(0.0, math.sqrt(document["covariance"][k][k]), freedom)
+        whole = of_poses + GTC.ureal(0.0, worth[f"reference_{part}"])
+        factor = GTC.reporting.k_factor(GTC.dof(whole), 95)
+        assert (line.name, line.std) == (part, pytest.approx(GTC.uncertainty(whole)))
+        assert line.coverage_factor == pytest.approx(factor)
+        assert line.expanded == pytest.approx(factor * GTC.uncertainty(whole))
+
+
 def test_what_is_not_known_is_said_and_has_no_figure() -> None:
     _, document = calibrated(None)
     budget = budget_of(document, None, 24)
     assert (budget.combined_deg, budget.expanded_deg, budget.coverage_factor) == (None, None, None)
-    assert "what the angle of the stage is worth was not stated" in budget.method[0]
+    assert "angle of the stage" in budget.method[0]
     assert any(said.startswith("Level: not known") for said in budget.not_contained)
 
 
