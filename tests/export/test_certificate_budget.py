@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from decimal import Decimal
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +20,7 @@ from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.verdict import verdict
 from calrig.export.calibration_document import calibration_content
+from calrig.export.certificate import sheet
 from calrig.export.certificate.content import budget_of, rounded, with_uncertainty
 from calrig.export.certificate.making import results_of
 from calrig.export.certificate.measured import Measured
@@ -104,6 +106,14 @@ def test_bias_and_scale_have_gtcs_uncertainty_and_coverage_factor(std_deg: float
         assert (line.name, line.std) == (part, pytest.approx(GTC.uncertainty(whole)))
         assert line.coverage_factor == pytest.approx(factor)
         assert line.expanded == pytest.approx(factor * GTC.uncertainty(whole))
+
+
+def test_degrees_of_freedom_are_printed_as_the_next_lower_whole_number() -> None:
+    """JCGM 100:2008, G.4.1, note 1: an effective ν that is no whole number is truncated."""
+    _, document = calibrated(HARMONIC)
+    made: Any = SimpleNamespace(budget=replace(budget_of(document, HARMONIC, 24), effective_freedom=23.97))
+    _, combined, _ = sheet.budget(made)
+    assert ("Effective degrees of freedom", "23") in combined.rows
 
 
 def test_what_is_not_known_is_said_and_has_no_figure() -> None:
