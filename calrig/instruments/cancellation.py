@@ -17,7 +17,7 @@ _check: ContextVar[Callable[[], None] | None] = ContextVar("wanted", default=Non
 
 @contextmanager
 def cancel_scope(check: Callable[[], None]) -> Iterator[None]:
-    """What this thread does with devices meanwhile ends with whatever `check` raises."""
+    """End what this thread does with devices inside the block with what `check` raises."""
     token = _check.set(check)
     try:
         yield
@@ -26,14 +26,14 @@ def cancel_scope(check: Callable[[], None]) -> Iterator[None]:
 
 
 def raise_if_cancelled() -> None:
-    """Raises what the check raises; drivers call it before they ask, and whenever they ask again."""
+    """Raise if the operation was cancelled. Drivers call this before every exchange and every retry."""
     check = _check.get()
     if check is not None:
         check()
 
 
 def deadline(duration_s: float, late: Exception) -> Callable[[], None]:
-    """A check that raises `late` once so many seconds of the wall's have gone by."""
+    """Return a check that raises `late` after so many seconds of wall time."""
     give_up_s = time.monotonic() + duration_s
 
     def check() -> None:

@@ -68,7 +68,7 @@ def open_board(driver: str, port: str, *, baudrate: int | None = None) -> Board:
 
 
 def may_stay_open(driver: str) -> bool:
-    """Whether a board that was opened for a look may be handed to a run; of somebody else's, never."""
+    """Return whether a board opened for a presence check may be handed to a run; only built-in ones may."""
     return driver in BOARDS and BOARDS[driver].may_stay_open
 
 

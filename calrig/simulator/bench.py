@@ -106,7 +106,7 @@ class _Motion(NamedTuple):
 class Bench:
     """A table and a sensor, at any instant of simulated time. Arrays of instants in, arrays out.
 
-    Nothing here reads a clock. Whoever shares a bench between threads takes `lock`, reads the clock and
+    Nothing here reads a clock. A thread that shares a bench takes `lock`, reads the clock and
     commands or samples while holding it, so that no command falls into a past already sampled.
 
     Attributes:

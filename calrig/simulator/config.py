@@ -110,14 +110,14 @@ class MountOptions(Options):
     clamped_axis: MountAxis = "x"
     """Which of the unit's axes lies along the stage's then."""
     seat_std_deg: NotNegative = 0.0
-    """How far each clamping is off, about each of three axes, drawn anew every time."""
+    """How far each clamping is off, about each of three axes, drawn for each clamping."""
     slip_deg: float = 0.0
     slip_at_s: NotNegative = 0.0
     slip_s: Positive = 0.05
     creep_deg_per_decade: float = 0.0
     creep_began_s: float = 0.0
     lever_arm_m: NotNegative = 0.0
-    """How far from the stage's axis the sensor is, upward where the table stands at 0."""
+    """How far from the stage's axis the sensor is, upward with the table at 0."""
     cable_mass_kg: NotNegative = 0.0
     cable_arm_m: NotNegative = 0.05
     cable_horizontal_deg: float = 0.0
@@ -128,7 +128,7 @@ class MountOptions(Options):
 PRESETS: dict[str, dict[str, Any]] = {
     "ideal": {"imu": {"accel_noise_ug_per_rthz": 0.0, "gyro_noise_dps_per_rthz": 0.0}},
     # A stage of the 0.5° class and an ordinary breakout board: mount offset and gyro bias are what a
-    # calibration expects; backlash, eccentricity, offset and temperature are what it is not told about.
+    # calibration expects; backlash, eccentricity, offset and temperature are unknown to it.
     "demo": {
         "seed": 1,
         "time_scale": 6.0,
@@ -196,7 +196,7 @@ class StageOptions(Options):
     settings: dict[int, float] = Field(default_factory=dict)
     """What `$n=` has stored in a GRBL, over what its other options make of it: `{20: 1}` for soft limits."""
     g54_deg: float | None = None
-    """Machine coordinate of a GRBL's stored work zero; None: where it stands after homing."""
+    """Machine coordinate of a GRBL's stored work zero; None: its position after homing."""
     blank_eeprom: bool = False
     """Nothing was ever stored in a GRBL: it takes its build's defaults and says so."""
     velocity_dps: Positive = 20.0
@@ -278,7 +278,7 @@ class BoardOptions(Options):
     boot_s: NotNegative = 0.0
     """Opening its port resets it, as DTR does an Arduino, and so long it hears nothing; 0: it does not.
 
-    Of calrig's own sketch, on a `tcp` port: nobody sees that a pseudo-terminal was opened.
+    Of calrig's own sketch, on a `tcp` port: opening a pseudo-terminal cannot be detected.
     """
     fault: BoardFault | None = None
 

@@ -29,7 +29,7 @@ class LowPass(NamedTuple):
         return np.asarray(1 / np.hypot(1.0, frequency_hz / self.bandwidth_hz))
 
     def of_cycle(self, cycle: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-        """What is left of signals that repeat themselves, at the instants at which the cycles begin.
+        """Return what passes of periodic signals, at the instants at which the cycles begin.
 
         Args:
             cycle: (k, n, 3) k equidistant values over one cycle, from each of n instants on, free of waves of

@@ -42,7 +42,7 @@ class Vibration:
     def cycle_g(self, motor: Turn) -> FloatArray:
         """The force (k, n) at k instants that divide a step, the first where the motor is now.
 
-        There are enough of them for all waves of the cube of this; nothing while the motor stands.
+        There are enough of them for all waves of the cube of this; nothing while the motor is at rest.
         """
         k = 2 * HIGHEST_POWER * len(self._orders) + 2
         steps = motor.angle_deg / self._step_deg + np.arange(k)[:, None] / k
@@ -68,7 +68,7 @@ DETENT_STEPS = 12
 
 
 class Arrival(NamedTuple):
-    """When the motor stands still, and whether that is short of its target because something blocked it."""
+    """When the motor is at rest, and whether an obstruction stopped it short of its target."""
 
     at_s: float
     stalled: bool
@@ -141,7 +141,7 @@ class Mechanics:
         return float(self._rng.normal(0.0, self._options.homing_std_deg))
 
     def halt(self, at_s: float, acceleration_dps2: float) -> float:
-        """Decelerates whatever moves; returns the instant at which it stands. A homing under way is lost."""
+        """Decelerate any motion and return the instant of standstill. A homing under way is lost."""
         begin_s = at_s + self._options.following_lag_s
         self._references = [reference for reference in self._references if reference.from_s <= at_s]
         return self._drive(braking(begin_s, *self._motor.state(begin_s), acceleration_dps2)).at_s
@@ -149,7 +149,7 @@ class Mechanics:
     def encoder_deg(self, times_s: FloatArray, age_s: float = 0.0) -> FloatArray:
         """The counted angle that the controller reports, in steps of the encoder's resolution.
 
-        Told at `times_s`, it is where the encoder was `age_s` before, counted from the home known by then.
+        Reported at `times_s`, it is the encoder's angle `age_s` before, counted from the home known by then.
         """
         starts, _, zeros = np.array(self._references).T
         counted = self._encoder(times_s - age_s) - zeros[np.searchsorted(starts, times_s, side="right") - 1]
@@ -164,7 +164,7 @@ class Mechanics:
     def table(self, times_s: FloatArray) -> Turn:
         """Where the table truly is, and how fast it turns.
 
-        The gear ends in a table that turns about a centre beside its bearing's: an angle φ becomes
+        The gear ends in a table that rotates about a centre off its bearing's: an angle φ becomes
         φ + A·sin(φ + phase), and its divisions and its bearing add waves of further orders.
         """
         geared = self._geared(times_s)
@@ -253,7 +253,7 @@ def through_play(motor: Sequence[Segment], follower_deg: float, gap_deg: float) 
         gap_deg: the whole width of the gap.
 
     Returns:
-        The follower's motion over the same time; it stands wherever no flank touches.
+        The follower's motion over the same time; it is at rest wherever no flank touches.
     """
     half = 0.5 * gap_deg
     follower: list[Segment] = []

@@ -155,7 +155,7 @@ PRINTED_BYTES = 64
 RESET_EVERY_S = 5.0
 FAULT_EVERY = 10
 LATE_S = 1.0
-"""So much behind, it leaves out what it did not print: nobody ran this process."""
+"""So much behind, it leaves out what it did not print: this process was not scheduled."""
 
 
 class SketchBoard:
@@ -171,7 +171,7 @@ class SketchBoard:
 
     interval_s = 0.004
     most_waiting_bytes = 256
-    """A UART's buffer: what nobody reads is lost, in the middle of a line."""
+    """A UART's buffer: what stays unread is lost, in the middle of a line."""
 
     def __init__(
         self,

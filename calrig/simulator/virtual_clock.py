@@ -23,7 +23,7 @@ from itertools import count
 from typing import TypeVar
 
 BEGINNING_S = 1000.0
-"""Not 0: nobody may think that long ago is now."""
+"""Not 0, so that a time of long ago is not taken for now."""
 SHORTEST_REST_S = 0.002
 LOOK_S = 0.02
 """How far off `next_instant` is at most, where nothing happens but motion."""
@@ -96,13 +96,13 @@ class Scheduler:
             heapq.heappush(self._timers, (at_s, next(self._order), None, act))
 
     def stop(self) -> None:
-        """Time stands from here on."""
+        """Stop time from here on."""
         with self.lock:
             self._stopped = True
 
     @contextmanager
     def taking_part(self) -> Iterator[None]:
-        """The calling thread is a member meanwhile; begins when it is its turn."""
+        """Make the calling thread a member inside the block, which begins when it is its turn."""
         me = self.take_part()
         try:
             yield
@@ -111,7 +111,7 @@ class Scheduler:
 
     @contextmanager
     def standing_aside(self) -> Iterator[None]:
-        """The calling member is a visitor meanwhile: for what waits for members in ways of its own."""
+        """Make the calling member a visitor inside the block, to wait for members without the clock."""
         me = threading.get_ident()
         with self.lock:
             parts = self._members.pop(me)
@@ -158,7 +158,7 @@ class Scheduler:
         self._dispatch()
 
     def register(self, among: Waits, timeout_s: float | None) -> Wait:
-        """Begins a wait of the calling thread, listed where whoever ends it looks; `rest` must follow."""
+        """Begin a wait of the calling thread, listed for the thread that ends it; `rest` must follow."""
         with self.lock:
             wait = self._begin_wait(timeout_s)
             among.append(wait)
@@ -211,7 +211,7 @@ class Scheduler:
             wait.go_on()
 
     def _dispatch(self) -> None:
-        """Gives the turn to whoever is ready, moving time on until somebody is. The lock is held."""
+        """Give the turn to a thread that is ready, moving time on until one is. The lock is held."""
         if self._dispatching:
             return self._pace.notify_all()
         self._dispatching = True

@@ -52,6 +52,15 @@ def test_another_axis_has_its_own_letter_settings_and_place(controller, port):
     assert f"{GO} Y5" in controller.lines
 
 
+@pytest.mark.parametrize("state", ["Alarm", "Check", "Sleep", "Hold:0", "Door:0", "Run"])
+def test_a_controller_that_is_not_idle_is_sent_no_move(controller, referenced, state):
+    """In Alarm, whose message may have been lost, GRBL 1.1 locks G-code out (error:9)."""
+    controller.report = f"<{state}|MPos:0.000,0.000,0.000|FS:0,0>"
+    with pytest.raises(StageError, match=state.partition(":")[0].upper()):
+        referenced.move(5)
+    assert not [line for line in controller.lines if "G1" in line]
+
+
 def test_opening_and_identifying_moves_nothing_and_unlocks_nothing(controller, port, stage):
     stage.identify()
     stage.status()

@@ -16,7 +16,7 @@ from calrig.instruments.stages.lines import LineWire
 
 BAUDRATE = 115_200
 WAKES_S = 3.0
-"""An Arduino boots when its port is opened, and hears nothing meanwhile."""
+"""An Arduino boots when its port is opened, and takes no commands while it boots."""
 ASKED_AGAIN_S = 0.5
 TURNS_S = 60.0
 

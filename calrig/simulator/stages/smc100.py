@@ -1,7 +1,8 @@
 """The stage's dialect: a Newport SMC100's commands and errors.
 
-Its source is the manual (SMC100CC/PP user's manual, EDH0206En) as `../shared/stages.md` beside the repository
-gives it. No conversation with a real one was recorded: what the manual leaves open is this module's guess.
+Its source is the manual (SMC100CC/PP user's manual, EDH0206En) as `../shared/stages.md` next to the
+repository gives it. No conversation with a real one was recorded: what the manual leaves open is this
+module's guess.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ class Count:
             raise StageError(f"{self._name} has lost its angle: {self.unreferenced}; then {todo}")
 
     def check(self, here_deg: float) -> None:
-        """Accepts an angle at which the stage stands, on which two reports agree.
+        """Accept an angle at rest on which two reports agree.
 
         Raises:
             StageError: the count has jumped, or is no angle any more for another reason.
