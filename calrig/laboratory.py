@@ -13,7 +13,7 @@ Words = Annotated[str, Field(min_length=1, max_length=500)]
 STANDARDS = ("reference", "thermometer", "time_base")
 """Of a rig: what it measures by."""
 Overdue = Literal["flag", "refuse"]
-"""What is done with a run on a reference whose certificate is overdue: it is told, or not begun."""
+"""How a run on a reference with an overdue certificate is handled: with a warning, or refused."""
 
 
 class Strict(BaseModel):
@@ -25,8 +25,8 @@ class Strict(BaseModel):
 class StandardSettings(Strict):
     """What shows that a standard is traceable: its certificate, kept with each run as it was then.
 
-    `file` is the certificate itself, beside the configuration: its hash is kept. `name` is what the standard
-    is called.
+    `file` is the certificate's file, next to the configuration: its hash is stored. `name` is what the
+    standard is called.
     """
 
     name: Words | None = None
@@ -76,7 +76,7 @@ class LaboratorySettings(Strict):
     Attributes:
         place: where calibrations are made, if not at the address.
         accreditation: text of the accreditation; without it no certificate has any mark of one.
-        decision_rule: what was agreed on decision rules, beside the rule of the limit itself.
+        decision_rule: what was agreed on decision rules, in addition to the limit's own rule.
         authorised_by: who is responsible for certificates; else who released the calibration.
         logo: for the head of certificates, an SVG, PNG or JPEG file.
         fonts: a folder of fonts for what typst's own have no characters for.

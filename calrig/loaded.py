@@ -24,9 +24,9 @@ class Calibration:
     Attributes:
         document: all of it (CONTRACT section 6).
         unit: serial number.
-        revision: None where it is of a joint solution that nobody has issued.
+        revision: None for a joint solution that was not issued.
         range_deg: lowest and highest elevation.
-        effects: what is taken out beside bias and scale, as the document has it.
+        effects: what is taken out in addition to bias and scale, as the document has it.
     """
 
     def __init__(self, document: dict[str, Any]) -> None:
@@ -61,7 +61,7 @@ class Calibration:
             columns: by name, of each or of all, whatever else effects follow.
 
         Returns:
-            NaN where a reading stands for many elevations, far beyond the range.
+            NaN where a reading has many elevations, far beyond the range.
 
         Raises:
             TypeError: neither or both of reading and accelerations.

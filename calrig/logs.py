@@ -25,7 +25,7 @@ _FORGING = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 @contextmanager
 def about(**fields: Any) -> Iterator[None]:
-    """Has every line that this thread (or task) logs meanwhile say what it is about: run_id, rig, unit."""
+    """Add fields (run_id, rig, unit) to every line that this thread or task logs inside the block."""
     before = _about.set({**_about.get(), **fields})
     try:
         yield

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 from repository import SHARED
 
-WIRE = SHARED / "wire"
+WIRE = Path(os.environ.get("CALRIG_WIRE", SHARED / "wire"))
 BOOT_LOADER_S = 1.5
 SILENCE_S = 0.05
 """What ends a piece that has no line end."""
 
 
-@dataclass(frozen=True)
-class Event:
+class Event(NamedTuple):
     """At t_s after the reset line `way` is `from` the device, `to` it, or an `event` in words."""
 
     t_s: float
@@ -27,13 +28,25 @@ class Event:
     def data(self) -> bytes:
         return self.text.encode("latin-1")
 
+    def says(self, *beginnings: str) -> bool:
+        """Whether it came from the device and begins with one of these."""
+        return self.way == "from" and self.text.startswith(beginnings)
+
+
+def recordings(pattern: str) -> list[Any]:
+    """The names of recordings, as parameters of a test; one that skips, saying why, where there are none."""
+    missing = pytest.param("", marks=pytest.mark.skip(f"no recorded conversations in {WIRE}"))
+    return sorted(path.stem for path in WIRE.glob(f"{pattern}.jsonl")) or [missing]
+
+
+def settings_of(name: str) -> dict[int, float]:
+    """What a recorded GRBL listed before the conversation."""
+    return {int(number): float(value) for number, value in _rows(name)[0]["settings"].items()}
+
 
 def recording(name: str) -> list[Event]:
     """A conversation, without the time of lines that were left out of the file."""
-    path = WIRE / f"{name}.jsonl"
-    if not path.is_file():
-        pytest.skip(f"the recorded conversation {path.name} is not in ../shared/wire")
-    head, *rows = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+    head, *rows = _rows(name)
     events = []
     for row in rows:
         left_out_s = sum(
@@ -42,6 +55,13 @@ def recording(name: str) -> list[Event]:
         way = next(key for key in ("from", "to", "event") if key in row)
         events.append(Event(row["t"] - left_out_s, way, row[way]))
     return events
+
+
+def _rows(name: str) -> list[dict[str, Any]]:
+    path = WIRE / f"{name}.jsonl"
+    if not path.is_file():
+        pytest.skip(f"the recorded conversation {path.name} is not in {WIRE}")
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 def starts(events: list[Event]) -> list[list[Event]]:

@@ -1,6 +1,6 @@
-"""A stream of CSV in pieces of whole rows, of any length in bounded memory.
+"""Readings as CSV with their calibrated elevations in two further columns (`calrig apply`).
 
-Readings as CSV with the elevations that they stand for beside them (`calrig apply`).
+The stream is read in pieces of whole rows, so that a file of any length needs little memory.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A calibration document from a file or a service, refused where it is not as it was issued.
+"""A unit's calibration as the document that flight software reads (CONTRACT section 6).
 
-A unit's calibration as the document that flight software reads (CONTRACT section 6).
+A document that is read from a file or a service is refused unless it is as it was issued.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""How a file separates cells and writes decimals: by commas and points, or as spreadsheets elsewhere do.
+"""Any bytes as rectangular tables of text cells with line numbers, in bounded memory; errors say where.
 
-The cells of one column of a CSV file, and where in the file a bad one stands.
-
-Any bytes → rectangular tables of texts with line numbers, or an error that says where; bounded.
+Separator and decimal sign are detected: comma and point, or the semicolon and comma of other spreadsheets.
 """
 
 from __future__ import annotations

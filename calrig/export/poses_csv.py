@@ -1,7 +1,4 @@
-"""Poses as CSV, both ways (CONTRACT section 4).
-
-Poses of several clampings and units in one file (CONTRACT section 4: `unit`, `mount`, `mount_deg`, …).
-"""
+"""Poses as CSV, read and written (CONTRACT section 4), also of several mounts and units in one file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Raw samples as CSV and npz, under the names of CONTRACT section 4's static logs.
+"""A run's raw samples as CSV and npz, under the names of CONTRACT section 4's static logs.
 
-A run's raw samples as CSV, each with its pose and whether it is of the move there or of the dwell.
+Each sample has its pose, and whether it belongs to the move to that pose or to the dwell there.
 """
 
 from __future__ import annotations

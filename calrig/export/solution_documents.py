@@ -1,7 +1,7 @@
-"""What a joint solution leaves behind: each unit's calibration (CONTRACT section 6), and the stage's map.
+"""The documents of a joint solution: each unit's calibration (CONTRACT section 6), and the stage map.
 
-Of a whole unit `accelerometer` and `gyro` are filled: what an elevation needs is in `effects`, what a vector
-needs in `accelerometer`.
+For a whole unit `accelerometer` and `gyro` are filled: an elevation needs `effects`, a vector needs
+`accelerometer`.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""A table of millions of numbers: in pieces by numpy's parser, and cell by cell where that would not do.
+"""Static and gravity logs as CSV: one row a sample (CONTRACT section 4), converted to g, deg/s and °C.
 
-numpy takes what it can read, without saying where a bad cell stands, and takes some texts for numbers that
-are none. So it is given only pieces of plain numbers; any other piece goes through `calrig.export.csv_table`,
-which is forty times slower and exact.
-
-Static and gravity logs as CSV: one row a sample (CONTRACT section 4), brought to g, deg/s and °C.
+A log may have millions of numbers. numpy's parser reads pieces of plain numbers; it does not say where a bad
+cell is, and takes some texts for numbers. So any other piece goes through `calrig.export.csv_table`, which is
+forty times slower and exact.
 """
 
 from __future__ import annotations

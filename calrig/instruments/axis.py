@@ -1,7 +1,4 @@
-"""What an axis was sent to do, and how long that may take.
-
-A stage as an axis of elevation: zero, sense, ratio, soft limits, and moves watched to their end.
-"""
+"""A stage as an axis of elevation: zero, sign, ratio, soft limits, and moves watched until they end."""
 
 from __future__ import annotations
 
@@ -53,7 +50,7 @@ GRACE_S = 1.0
 STALL_S = 3.0
 STALL_DEG = 0.05
 ASSUMED_VELOCITY_DPS = 1.0
-OVERSHOOT_DEG = 1.0  # beyond the tolerance: nothing that moves as it was told is so far off its way
+OVERSHOOT_DEG = 1.0  # beyond the tolerance: no move as commanded goes so far off its path
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +216,7 @@ class Axis:
         """Where a stage stands that was told nothing since it stood at `stood_deg`.
 
         Raises:
-            StageError: it is disabled, says that it moves, or stands elsewhere by more than the tolerance.
+            StageError: it is disabled, reports motion, or is elsewhere by more than the tolerance.
         """
         for last in (False, True):  # one answer may have been damaged on the wire
             status = self.stage.status()
@@ -252,7 +249,7 @@ class Axis:
         self.stage.halt()
 
     def confirm_stopped(self, timeout_s: float) -> None:
-        """Halts, and goes on sending stop until the stage says that it stands, twice at one angle.
+        """Halt, and repeat the stop until two consecutive reports show the stage at rest at one angle.
 
         Raises:
             StageError: it still moves, whatever it says of itself, or does not answer, after timeout_s: only
@@ -306,7 +303,7 @@ class Axis:
     def _check_progress(self, elevation_deg: float, status: StageStatus) -> None:
         goal, now = self._goal, self._clock.now_s()
         if goal is None:
-            return  # somebody else's motion: a keypad's, or that of a process before this one
+            return  # motion from elsewhere: a keypad's, or that of an earlier process
         goal.off_since_s = None
         if abs(elevation_deg - goal.progress_deg) * abs(self._gain) > STALL_DEG:
             goal.progress_s, goal.progress_deg = now, elevation_deg

@@ -1,8 +1,8 @@
-"""Whether what a thread does with its devices is still wanted: asked before each exchange with one.
+"""Cancellation of what a thread does with its devices, checked before each exchange with one.
 
-So identification, homing and every wait for a device that does not answer end soon after somebody stopped
-the run, and no exchange is left half done: an answer still on its way would be taken for the next one's.
-The store asks as well, while what a run has to write waits for another program's lock.
+So identification, homing and every wait for a silent device end soon after a run was stopped. No exchange is
+left half done: a reply still on its way would be taken for the next one's. The store checks as well while a
+run's write waits for another program's lock.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _check: ContextVar[Callable[[], None] | None] = ContextVar("wanted", default=Non
 
 @contextmanager
 def cancel_scope(check: Callable[[], None]) -> Iterator[None]:
-    """What this thread does with devices meanwhile ends with whatever `check` raises."""
+    """End what this thread does with devices inside the block with what `check` raises."""
     token = _check.set(check)
     try:
         yield
@@ -26,14 +26,14 @@ def cancel_scope(check: Callable[[], None]) -> Iterator[None]:
 
 
 def raise_if_cancelled() -> None:
-    """Raises what the check raises; drivers call it before they ask, and whenever they ask again."""
+    """Raise if the operation was cancelled. Drivers call this before every exchange and every retry."""
     check = _check.get()
     if check is not None:
         check()
 
 
 def deadline(duration_s: float, late: Exception) -> Callable[[], None]:
-    """A check that raises `late` once so many seconds of the wall's have gone by."""
+    """Return a check that raises `late` after so many seconds of wall time."""
     give_up_s = time.monotonic() + duration_s
 
     def check() -> None:

@@ -3,7 +3,7 @@
 Each folder under `stages` and `boards` declares one as `DEVICE`. A scan opens ports that anything may hang
 on, so all that a device wants asked is held to these rules, here and in the tests:
 
-- No query begins with a line end, which would complete a command that somebody else left half sent. Its
+- No query begins with a line end, which would complete a command that another program left half sent. Its
   first letters make a wrong command of that one, so each is safe whichever comes first.
 - No query has a byte that some controller takes for a command of its own, line or no line: GRBL's
   real-time bytes (resume, reset, jog cancel, overrides), and the 0x04 that every motion command of Thorlabs'

@@ -1,9 +1,9 @@
 """Devices by name: the built-in ones, and those that other packages offer as entry points.
 
-Each folder under `stages` and `boards` that is a package declares its `DEVICE`; nothing else lists them. A
-package of somebody else's adds a stage with the entry-point group `calrig.stages`, a board with
-`calrig.boards`. The entry point's name is the driver's; its object is a `StageDevice` or `BoardDevice`, which
-takes part in scans, or just what opens one.
+Each folder under `stages` and `boards` that is a package declares its `DEVICE`; nothing else lists them.
+Another package adds a stage with the entry-point group `calrig.stages`, a board with `calrig.boards`. The
+entry point's name is the driver's. Its object is a `StageDevice` or `BoardDevice`, which takes part in scans,
+or only a function that opens one.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def open_board(driver: str, port: str, *, baudrate: int | None = None) -> Board:
 
 
 def may_stay_open(driver: str) -> bool:
-    """Whether a board that was opened for a look may be handed to a run; of somebody else's, never."""
+    """Return whether a board opened for a presence check may be handed to a run; only built-in ones may."""
     return driver in BOARDS and BOARDS[driver].may_stay_open
 
 

@@ -67,7 +67,7 @@ class Port:
         return self.read(max(1, self.waiting()))
 
     def waiting(self) -> int:
-        """How many bytes can be read at once; on `socket://` 1 stands for any number."""
+        """Return how many bytes can be read at once; on `socket://` 1 means any number."""
         try:
             return int(self._wire.in_waiting)
         except OSError as error:
@@ -92,13 +92,13 @@ class Port:
 
     def _hand_over(self, data: bytes, descriptor: int) -> None:
         # pyserial looks at the clock before it looks at the port: a thread that a busy machine kept waiting
-        # for so long would be told that a port took nothing which had taken all.
+        # for so long would get a time-out for a port that had taken all.
         self._require_open()
         until_s = self.clock.now_s() + WRITE_TIMEOUT_S
         left = memoryview(data)
         while left:
             _, ready, _ = select.select([], [descriptor], [], max(0.0, until_s - self.clock.now_s()))
-            self._require_open()  # of one closed meanwhile the descriptor may be another file's by now
+            self._require_open()  # after a close the descriptor may belong to another file
             if not ready:
                 raise serial.SerialTimeoutException
             try:
@@ -112,14 +112,14 @@ class Port:
             raise serial.PortNotOpenError
 
     def change_baudrate(self, baudrate: int) -> None:
-        """Goes on at another rate without opening the port anew, which would reset most boards again."""
+        """Change the rate without opening the port again, which would reset most boards."""
         try:
             self._wire.baudrate = baudrate
         except (OSError, ValueError) as error:
             raise PortError(f"port {self.name} cannot be set to {baudrate} baud ({error})") from error
 
     def close(self) -> None:
-        """Closes the port; never raises. Nobody else may be using it."""
+        """Close the port; never raises. No other thread may be using it."""
         try:
             self._wire.close()
         except OSError:

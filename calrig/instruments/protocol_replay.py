@@ -1,9 +1,9 @@
-"""`replay://FILE`: a transcript as a port, so that what a device did once can be had again.
+"""`replay://FILE`: a transcript as a port, so that a conversation with a device can be repeated.
 
 pyserial finds this module by its name (`serial.protocol_handler_packages`). What the device sent is given out
-as soon as calrig has sent what it had sent then; the time between is not waited for. How often a state is
-asked for is a matter of speed: each command is answered as it was the next time it was sent in the
-transcript, or the last time where it was sent less often then. One that was never sent is not answered.
+as soon as calrig has sent what it had sent then, without the pauses in between. Each command is answered as
+it was the next time it was sent in the transcript, or the last time if it was sent less often then. A command
+that was never sent is not answered.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Who answers on which port: found out without a byte that could move anything (the rules: `device`).
+"""Identification of the devices on the ports, without a byte that could move anything (the rules: `device`).
 
-Each port is opened once, which resets most Arduinos, and listened to before anything is asked.
-
-What was found on the ports, as it goes into `calrig.toml`.
+Each port is opened once, which resets most Arduinos, and listened to before any query is sent. `stanza` gives
+the result as text for `calrig.toml`.
 """
 
 from __future__ import annotations

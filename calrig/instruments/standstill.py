@@ -1,6 +1,6 @@
-"""What is accepted of a controller whose words carry no checksum: only what it says twice, or says back.
+"""Standstill and position of a stage whose replies carry no checksum: accepted only when reported twice.
 
-A stop that is seen: a stage is told to stop until it says that it stands, twice at one angle.
+`confirm_standstill` repeats the stop until two consecutive reports show the stage at rest at one angle.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ def agree(one_deg: float, other_deg: float) -> bool:
 def position_deg(
     name: str, glimpse_deg: Callable[[], float], moves: Callable[[], bool], faults: Counter[str]
 ) -> float:
-    """Where a standing stage says it is: two reads in a row that agree, three on a wire with faults.
+    """Return the position at rest: two reads in a row that agree, three on a link with faults.
 
     Raises:
-        StageError: it stands and yet never says the same twice.
+        StageError: the reads differ although the stage is at rest.
     """
     for _ in range(MOST_READS):
         reads = [glimpse_deg() for _ in range(3 if faults.total() else 2)]
@@ -43,18 +43,18 @@ def position_deg(
 
 
 LOOKS_APART_S = 0.05
-"""Between two looks: a stage that says it stands, and creeps on at more than 0.2°/s, is found out."""
+"""Between two reports: it reveals a stage that reports standstill and creeps at more than 0.2°/s."""
 IN_MOTION = ("moving", "homing")
 CUT = "cut its motor power"
-"""What is left to do about a stage that is not known to stand."""
+"""What to do about a stage without confirmed standstill."""
 
 
 def confirm_standstill(stage: Stage, clock: Clock, timeout_s: float) -> None:
-    """Halts a stage, and goes on sending stop until two looks in a row find it standing at one angle.
+    """Halt a stage, and repeat the stop until two consecutive reports show it at rest at one angle.
 
-    One that stood when it was first seen is looked at once more, however late that was: opening its port may
-    have reset its controller, which answers nothing until it has woken up. A look that is not answered says
-    nothing of the stage, and the looks before and after it are compared.
+    A stage at rest in its first report gets one more report, however late that was: opening its port may
+    have reset its controller, which answers nothing until it has booted. A query without a reply says
+    nothing about the stage; the reports before and after it are compared.
 
     Raises:
         StageError: it still moves, whatever it says of itself, or does not answer, after timeout_s: only
@@ -89,7 +89,7 @@ def confirm_standstill(stage: Stage, clock: Clock, timeout_s: float) -> None:
 
 
 def _unlike(seen_deg: list[float]) -> str:
-    """What the last looks say where they differ.
+    """Describe how the last reports differ.
 
     One report may have been damaged on the wire. So the stage is said to turn only where three in a row go
     the same way, and by no more than the smaller of the two steps.

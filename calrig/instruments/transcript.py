@@ -1,6 +1,6 @@
-"""Every byte to and from a port with its time: kept for the last minute, written to a file where asked for.
+"""Every byte to and from a port with its time: the last minute kept, all of it written to a file on request.
 
-A transcript is text, so that a person can read it and a test can hold it; a line a piece:
+A transcript is text, one piece a line, for people and tests:
 
     # calrig transcript of /dev/ttyUSB0
     0.000000 > 3149443f0d0a    what calrig sent, in hexadecimal, s after the port was opened
@@ -59,7 +59,7 @@ class Tape:
         self.begin(file)
 
     def begin(self, file: TextIO | None = None) -> None:
-        """Begins, or begins anew as if the port had been opened just now: who took it over has its own."""
+        """Begin, or begin again for a port that was handed over, as if it had just been opened."""
         with self._lock:
             self._file = file
             self._opened_s = self.clock.now_s()
@@ -88,7 +88,7 @@ class Tape:
 
 @dataclass(frozen=True)
 class Tapes:
-    """The tapes of the ports opened meanwhile, in the order they were opened."""
+    """The transcripts of the ports opened inside a `taped` block, in the order they were opened."""
 
     folder: Path | None
     all: list[Tape]
@@ -118,7 +118,7 @@ _current: ContextVar[Tapes | None] = ContextVar("tapes", default=None)
 
 @contextmanager
 def taped(folder: Path | None = None) -> Iterator[Tapes]:
-    """Tapes every port that this thread opens meanwhile; into files as well where a folder is given.
+    """Record every port that this thread opens inside the block; into files as well if a folder is given.
 
     Raises:
         PortError: the folder cannot be made.
@@ -138,7 +138,7 @@ def taped(folder: Path | None = None) -> Iterator[Tapes]:
 
 
 def tape_of(port: str, clock: Clock) -> Tape | None:
-    """A tape for a port that is being opened, where somebody wants one."""
+    """Return a transcript for a port that is being opened; None outside a `taped` block."""
     tapes = _current.get()
     return None if tapes is None else tapes.of(port, clock)
 

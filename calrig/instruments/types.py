@@ -14,14 +14,14 @@ FloatArray = npt.NDArray[np.float64]
 
 
 GAP_PERIODS = 8
-"""Without a sample for so many of its periods, nobody knows how far the board has turned."""
+"""After a gap of so many sample periods the board's rotation is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
     """A block of n valid samples in the order taken; a channel that the board does not send is NaN.
 
-    Between two samples more than `GAP_PERIODS` apart nobody knows what the sensor went through.
+    Between two samples more than `GAP_PERIODS` apart the sensor's motion is unknown.
 
     Attributes:
         time_s: (n,) the board's clock since `start`, unwrapped, strictly increasing.
@@ -70,7 +70,7 @@ class Samples:
         )
 
     def spanning(self, from_s: float, to_s: float) -> Samples:
-        """The samples between two times, and at both what lies on the line between the samples beside it."""
+        """Return the samples between two times, and at both a sample interpolated between its neighbours."""
         inner = self.between(math.nextafter(from_s, math.inf), to_s)
         return Samples.join([self._at(from_s), inner, self._at(to_s)])
 
@@ -91,7 +91,7 @@ class Samples:
 class BoardIdentity:
     """Who a board says it is; None where it does not say.
 
-    `rate_hz` is the one rate of a board that cannot be told another; None where it can. `sends_rates`: and
+    `rate_hz` is the rate of a board that has only one; None where it accepts others. `sends_rates`: and
     accelerations, not only an angle of its own.
     """
 
@@ -129,8 +129,8 @@ class StageIdentity:
 class StageStatus:
     """One look at a stage.
 
-    `state` is `not_referenced`, `homing`, `moving`, `ready`, `disabled` or `configuration` (somebody is
-    changing the controller's set-up); `words` says the same for a person, with the controller's own error
+    `state` is `not_referenced`, `homing`, `moving`, `ready`, `disabled` or `configuration` (the
+    controller's set-up is being changed); `words` says the same for a person, with the controller's own error
     bits where there are any.
     """
 
@@ -147,7 +147,7 @@ class Board(Protocol):
         """Asks until the board answers or its time is up (BoardError)."""
 
     def start(self, rate_hz: int) -> None:
-        """Starts streaming, at this rate where the board can be told one; a thread of the driver's reads."""
+        """Start streaming, at this rate if the board accepts one; a thread of the driver reads."""
 
     def take(self, timeout_s: float) -> Samples:
         """The valid samples since the last call, waiting up to timeout_s for the first one.
@@ -182,7 +182,7 @@ class Stage(Protocol):
         """Asks for the state."""
 
     def position_deg(self) -> float:
-        """Where a standing stage says it is: two reads in a row that agree."""
+        """Return the position at rest: two reads in a row that agree."""
 
     def glimpse_deg(self) -> float:
         """One read, unchecked: to show a stage on the move, never for a result."""

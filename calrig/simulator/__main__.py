@@ -1,7 +1,7 @@
 """A simulated rig as a process of its own: options in, ports and drivers out, both as JSON.
 
 `python -m calrig.simulator '{"preset": "demo"}'` runs until its standard input closes (so that it never
-outlives whoever started it) or it is terminated or interrupted.
+outlives the process that started it) or it is terminated or interrupted.
 """
 
 from __future__ import annotations

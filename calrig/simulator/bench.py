@@ -1,4 +1,4 @@
-"""One stage with one sensor on it, without a wire: the physics put together."""
+"""One stage with one sensor in its environment, without a serial link: the physics put together."""
 
 from __future__ import annotations
 
@@ -7,14 +7,81 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.environment import Environment
-from calrig.simulator.imu import Counts, Imu, NoiseSource, Surroundings
-from calrig.simulator.low_pass import LowPass, low_passes
-from calrig.simulator.mechanics import Mechanics
+from calrig.simulator.config import EnvironmentOptions, SimulatorSettings
+from calrig.simulator.imu import Counts, Imu, LowPass, NoiseSource, Surroundings, low_passes
+from calrig.simulator.mechanics import Mechanics, Vibration
 from calrig.simulator.mount import Mount
 from calrig.simulator.trajectory import FloatArray, Turn
-from calrig.simulator.vibration import Vibration
+
+STRESS_STEP_S = 1.0
+"""Temperature changes over minutes: its turning points are known well enough to the second."""
+
+
+class Environment:
+    """Die temperature T = start + (end − start)·(1 − exp(−t/τ)) and a slow swing of the room; supply."""
+
+    def __init__(self, options: EnvironmentOptions) -> None:
+        self._options = options
+        self._stress_c = [options.start_c]
+        self._body_c = [options.start_c]
+
+    def die_c(self, times_s: FloatArray) -> FloatArray:
+        """The die's temperature."""
+        options = self._options
+        warm = -np.expm1(-np.maximum(times_s, 0.0) / options.warm_up_s)
+        room = options.ambient_amplitude_c * np.sin(2 * np.pi * times_s / options.ambient_period_s)
+        temperature: FloatArray = options.start_c + (options.end_c - options.start_c) * warm + room
+        return temperature
+
+    def stress_c(self, times_s: FloatArray) -> FloatArray:
+        """The temperature that the package's stress answers to: its body's, through a play of `hysteresis_c`.
+
+        Between two turning points the play's output is its last value, clipped to within half its width of
+        the input; it is carried from second to second.
+        """
+        body_c = self.body_c(times_s)
+        if not self._options.hysteresis_c or not np.size(times_s):
+            return body_c
+        index = np.maximum(times_s // STRESS_STEP_S, 0).astype(np.intp)
+        self._carry_to(int(index.max()))
+        half = 0.5 * self._options.hysteresis_c
+        first = int(index.min())
+        carried = np.array(self._stress_c[first : int(index.max()) + 1])[index - first]
+        stress: FloatArray = np.clip(carried, body_c - half, body_c + half)
+        return stress
+
+    def body_c(self, times_s: FloatArray) -> FloatArray:
+        """The temperature of the package's body: heat flows into it from the die, a little every second."""
+        if not self._options.stress_lag_s or not np.size(times_s):
+            return self.die_c(times_s)
+        last = int(np.ceil(np.max(times_s) / STRESS_STEP_S))
+        seconds = STRESS_STEP_S * np.arange(len(self._body_c), last + 1, dtype=np.float64)
+        stays = np.exp(-STRESS_STEP_S / self._options.stress_lag_s)
+        for die_c in self.die_c(seconds - 0.5 * STRESS_STEP_S).tolist():
+            self._body_c.append(die_c + stays * (self._body_c[-1] - die_c))
+        known_s = STRESS_STEP_S * np.arange(len(self._body_c))
+        body: FloatArray = np.interp(times_s, known_s, self._body_c)
+        return body
+
+    def supply_v(self, times_s: FloatArray) -> FloatArray:
+        """The supply's voltage."""
+        options = self._options
+        wave = np.sin(2 * np.pi * times_s / options.supply_period_s)
+        if options.supply_waveform == "square":
+            wave = np.where(wave >= 0, 1.0, -1.0)
+        voltage: FloatArray = options.supply_v + options.supply_ripple_v * wave
+        return voltage
+
+    def _carry_to(self, index: int) -> None:
+        known = len(self._stress_c)
+        if index < known:
+            return
+        half = 0.5 * self._options.hysteresis_c
+        stress_c = self._stress_c[-1]
+        for body_c in self.body_c(STRESS_STEP_S * np.arange(known, index + 1, dtype=np.float64)).tolist():
+            stress_c = min(max(stress_c, body_c - half), body_c + half)
+            self._stress_c.append(stress_c)
+
 
 TURN_STEP_S = 0.05
 """Half the span over which the package's slow turn with temperature is differentiated."""
@@ -39,7 +106,7 @@ class _Motion(NamedTuple):
 class Bench:
     """A table and a sensor, at any instant of simulated time. Arrays of instants in, arrays out.
 
-    Nothing here reads a clock. Whoever shares a bench between threads takes `lock`, reads the clock and
+    Nothing here reads a clock. A thread that shares a bench takes `lock`, reads the clock and
     commands or samples while holding it, so that no command falls into a past already sampled.
 
     Attributes:

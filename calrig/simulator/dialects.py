@@ -1,7 +1,7 @@
 """The dialects there are, by name, and what makes a device that speaks one.
 
-Each module of `stages` and `boards` is one; nothing else lists them. Names come without importing any, for
-whoever launches a simulator needs no physics.
+Each module of `stages` and `boards` is one; nothing else lists them. Their names are
+known without importing one, since launching a simulator needs no physics.
 """
 
 from __future__ import annotations

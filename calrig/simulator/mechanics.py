@@ -1,4 +1,4 @@
-"""From what the controller asks to where the table stands: motor, gap, gear, and the encoder's view."""
+"""From the controller's command to the table: motor, backlash, gear, encoder; and how the motor shakes it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,55 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calrig.simulator.motion_options import MechanicsOptions
+from calrig.simulator.config import MechanicsOptions
 from calrig.simulator.trajectory import FloatArray, Segment, Trajectory, Turn, braking, trapezoid
+
+RESONANCE_Q = 10.0
+"""Of a bolted aluminium structure: a twentieth of critical damping."""
+HIGHEST_POWER = 3
+"""Of a force in what the accelerometer makes of it."""
+
+
+class Vibration:
+    """Of one motor. Each full step is one cycle, so that the motor's angle tells where in it the force is.
+
+    Attributes:
+        on: whether there is any.
+        direction: (3,) unit vector on the table.
+    """
+
+    def __init__(self, options: MechanicsOptions) -> None:
+        self.on = options.vibration_g > 0
+        self.direction = np.array(options.vibration_direction) / np.linalg.norm(options.vibration_direction)
+        self._step_deg = options.motor_step_deg
+        self._orders = np.arange(1, len(options.vibration_harmonics) + 1)
+        self._amplitudes_g = options.vibration_g * np.array(options.vibration_harmonics)
+        self._resonance_hz = options.vibration_resonance_hz
+
+    def frequency_hz(self, motor: Turn) -> FloatArray:
+        """Full steps per second (n,)."""
+        return np.asarray(np.abs(motor.rate_dps) / self._step_deg)
+
+    def cycle_g(self, motor: Turn) -> FloatArray:
+        """The force (k, n) at k instants that divide a step, the first where the motor is now.
+
+        There are enough of them for all waves of the cube of this; nothing while the motor is at rest.
+        """
+        k = 2 * HIGHEST_POWER * len(self._orders) + 2
+        steps = motor.angle_deg / self._step_deg + np.arange(k)[:, None] / k
+        waves = np.sin(2 * np.pi * self._orders[:, None, None] * steps)
+        frequency_hz = self.frequency_hz(motor)
+        heights_g = self._amplitudes_g[:, None] * self._answer(self._orders[:, None] * frequency_hz)
+        shaking_g: FloatArray = np.einsum("hkn,hn->kn", waves, np.where(frequency_hz > 0, heights_g, 0.0))
+        return shaking_g
+
+    def _answer(self, frequency_hz: FloatArray) -> FloatArray:
+        """Acceleration of a mass in a damped spring over that of the free mass, under the same force."""
+        if self._resonance_hz is None:
+            return np.ones_like(frequency_hz)
+        ratio = frequency_hz / self._resonance_hz
+        return np.asarray(ratio**2 / np.hypot(1 - ratio**2, ratio / RESONANCE_Q))
+
 
 HOMING_RUN_UP_DEG = 1.0
 """Homing passes its switch by this much and comes back to it upward, whichever side it began on."""
@@ -21,7 +68,7 @@ DETENT_STEPS = 12
 
 
 class Arrival(NamedTuple):
-    """When the motor stands still, and whether that is short of its target because something blocked it."""
+    """When the motor is at rest, and whether an obstruction stopped it short of its target."""
 
     at_s: float
     stalled: bool
@@ -94,7 +141,7 @@ class Mechanics:
         return float(self._rng.normal(0.0, self._options.homing_std_deg))
 
     def halt(self, at_s: float, acceleration_dps2: float) -> float:
-        """Decelerates whatever moves; returns the instant at which it stands. A homing under way is lost."""
+        """Decelerate any motion and return the instant of standstill. A homing under way is lost."""
         begin_s = at_s + self._options.following_lag_s
         self._references = [reference for reference in self._references if reference.from_s <= at_s]
         return self._drive(braking(begin_s, *self._motor.state(begin_s), acceleration_dps2)).at_s
@@ -102,7 +149,7 @@ class Mechanics:
     def encoder_deg(self, times_s: FloatArray, age_s: float = 0.0) -> FloatArray:
         """The counted angle that the controller reports, in steps of the encoder's resolution.
 
-        Told at `times_s`, it is where the encoder was `age_s` before, counted from the home known by then.
+        Reported at `times_s`, it is the encoder's angle `age_s` before, counted from the home known by then.
         """
         starts, _, zeros = np.array(self._references).T
         counted = self._encoder(times_s - age_s) - zeros[np.searchsorted(starts, times_s, side="right") - 1]
@@ -117,7 +164,7 @@ class Mechanics:
     def table(self, times_s: FloatArray) -> Turn:
         """Where the table truly is, and how fast it turns.
 
-        The gear ends in a table that turns about a centre beside its bearing's: an angle φ becomes
+        The gear ends in a table that rotates about a centre off its bearing's: an angle φ becomes
         φ + A·sin(φ + phase), and its divisions and its bearing add waves of further orders.
         """
         geared = self._geared(times_s)
@@ -206,7 +253,7 @@ def through_play(motor: Sequence[Segment], follower_deg: float, gap_deg: float) 
         gap_deg: the whole width of the gap.
 
     Returns:
-        The follower's motion over the same time; it stands wherever no flank touches.
+        The follower's motion over the same time; it is at rest wherever no flank touches.
     """
     half = 0.5 * gap_deg
     follower: list[Segment] = []

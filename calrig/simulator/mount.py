@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calrig.simulator.motion_options import MountOptions
+from calrig.simulator.config import MountOptions
 from calrig.simulator.trajectory import FloatArray, Trajectory, Turn, trapezoid
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -16,7 +16,7 @@ RELAXATIONS_S = np.logspace(-2.0, 8.0, 21)
 
 
 CLAMP_VELOCITY_DPS, CLAMP_ACCELERATION_DPS2 = 60.0, 120.0
-"""Of whoever turns the package in its clamp, a person or a dividing head."""
+"""Of the person or dividing head that turns the package in its clamp."""
 FACES = {
     "x": np.eye(3),
     "y": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
@@ -37,7 +37,7 @@ class Clamping(NamedTuple):
 
 
 class Mount:
-    """A package in a clamp on a table: it may sit askew, slip, bend under a cable, and be clamped anew.
+    """A package in a clamp on a table: it may sit askew, slip, bend under a cable, and be remounted.
 
     Args:
         options: of it.
@@ -68,7 +68,7 @@ class Mount:
         return Clamping(from_s, self._in_case @ face @ askew)
 
     def _to_sensor(self, times_s: FloatArray | None) -> FloatArray:
-        """(3, 3), or (n, 3, 3) where the package was clamped anew meanwhile."""
+        """(3, 3), or (n, 3, 3) if the package was remounted in between."""
         if len(self._clampings) == 1 or times_s is None:
             return self._clampings[0].to_sensor
         begins = [clamping.from_s for clamping in self._clampings]
@@ -101,7 +101,7 @@ class Mount:
     def from_table(self, vectors: FloatArray, times_s: FloatArray) -> FloatArray:
         """Vectors (..., n, 3) that turn with the table, along the sensor's axes.
 
-        They are given along the stage's axis, tangential, and radial, upward where the table stands at 0.
+        They are given along the stage's axis, tangential, and radial, upward with the table at 0.
         """
         turned = np.radians(self._clamp.at(times_s).angle_deg)
         along, tangential, radial = np.moveaxis(vectors, -1, 0)

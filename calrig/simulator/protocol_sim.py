@@ -21,7 +21,7 @@ class Serial(SerialBase):
     """The port of one simulated device. Who has it open lives in its time."""
 
     def open(self) -> None:
-        """Takes the port (SerialException where there is none, or somebody has it)."""
+        """Takes the port (SerialException if there is none, or it is in use)."""
         self._wire = self._plugged()
         try:
             self._wire.open(self)

@@ -11,9 +11,8 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.clamp import IndexClamp
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import board_of, stage_of
-from calrig.simulator.ports import open_port
 from calrig.simulator.virtual_clock import VirtualClock
-from calrig.simulator.wire import MOST_WAITING_BYTES, Device, Wire
+from calrig.simulator.wire import MOST_WAITING_BYTES, Device, Wire, open_port
 from calrig.simulator.world import SimWire
 
 

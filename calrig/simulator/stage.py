@@ -58,7 +58,7 @@ class Stage(ABC):
 class LineStage(Stage):
     """A controller that answers line by line and keeps the beginning of the one that has not ended.
 
-    A class of it says where a line ends, what the wire carries beside lines, and how much of one it keeps.
+    A subclass defines where a line ends, what the link carries besides lines, and how much of one it keeps.
     """
 
     line_end = b"\n"

@@ -73,8 +73,8 @@ class Trajectory:
     """Segments in the order of time; the future may be replaced, the past never changes.
 
     Args:
-        position_deg: where it stands at time 0.
-        relaxation_s: time constant of `behind`, infinite where nobody asks for it.
+        position_deg: position at time 0.
+        relaxation_s: time constant of `behind`, infinite unless asked for.
     """
 
     def __init__(self, position_deg: float, relaxation_s: float = math.inf) -> None:
@@ -101,7 +101,7 @@ class Trajectory:
         return self._segments[index].at(max(at_s, 0.0))
 
     def at(self, times_s: FloatArray) -> Turn:
-        """Position and velocity at any instants; before time 0 it stands."""
+        """Position and velocity at any instants; before time 0 it is at rest."""
         segments, dt = self._look_up(times_s)
         _, position, velocity, acceleration, _ = segments
         return Turn(position + dt * (velocity + 0.5 * acceleration * dt), velocity + acceleration * dt)

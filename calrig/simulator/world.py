@@ -14,16 +14,15 @@ from typing import ClassVar
 
 import serial
 
-from calrig.simulator.scheduler import Waits
-from calrig.simulator.virtual_clock import VirtualClock
+from calrig.simulator.virtual_clock import VirtualClock, Waits
 from calrig.simulator.wire import MOST_WAITING_BYTES, Device
 
 serial.protocol_handler_packages.append("calrig.simulator")  # for `sim://NAME`
 SCHEME = "sim://"
 ON_ITS_WAY_S = 0.001
-"""Between what a device says and its coming: so nobody can ask for ever without time going on."""
+"""Between what a device says and its coming: so that time moves on however often a client queries."""
 SYSTEM_BYTES = 4095
-"""What a terminal holds for who does not read, beside what waits in the device."""
+"""What a terminal holds for a client that does not read, in addition to the device's buffer."""
 
 
 class SimWire:
@@ -72,7 +71,7 @@ class SimWire:
             self.clock.end(self._readers)
 
     def open(self, user: object) -> None:
-        """Takes the port for one user (OSError where somebody else has it)."""
+        """Takes the port for one user (OSError if it is in use)."""
         with self.clock.lock:
             if self._user is not None:
                 raise OSError(errno.EBUSY, "in use")
@@ -125,7 +124,7 @@ class SimWire:
             self.clock.at(self.clock.now_s() + ON_ITS_WAY_S, lambda: self._come(data))
 
     def _come(self, data: bytes) -> None:
-        """Bytes for the user; what nobody reads for too long is lost."""
+        """Take bytes for the user; what stays unread for too long is lost."""
         if self._user is None or len(self._came) + len(data) > self._most_bytes:
             return
         self._came += data

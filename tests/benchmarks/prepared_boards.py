@@ -21,8 +21,7 @@ from packet_stream import MPU, sample_blocks
 
 from calrig.simulator.boards.calrig import BLOCK_INTERVAL_S
 from calrig.simulator.boards.calrig.packets import ACKNOWLEDGE, IDENTITY, packet
-from calrig.simulator.ports import open_port
-from calrig.simulator.wire import Wire
+from calrig.simulator.wire import Wire, open_port
 
 
 class PreparedBoard:

@@ -7,6 +7,7 @@ import pytest
 from compiled_header import COMPILER, applied, compiled, document, test_vectors
 from issued_documents import BIAS_G, MATRIX
 
+from calrig.calibration.regression import c_literal
 from calrig.calibration.regression.effect import ApplyError, Circumstances
 from calrig.calibration.results.correction import calibrated_elevation_deg, effects_on_reading_deg
 from calrig.export.formats.c_header import c_header
@@ -59,6 +60,16 @@ def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_de
 
 
 @needs_a_compiler
+@pytest.mark.parametrize("first", [1000.0, 9.536743e-07, -8.6e15])
+def test_a_constant_in_the_header_is_the_float_itself(first):
+    """A float needs FLT_DECIMAL_DIG = 9 digits to come back as it was (C11, 5.2.4.2.2)."""
+    value = np.float32(first)
+    for _ in range(200):
+        literal = c_literal(float(value))
+        assert np.float32(literal.strip("()").removesuffix("f")) == value
+        value = np.nextafter(value, np.float32(np.inf))
+
+
 def test_half_a_turn_is_positive_in_c_as_in_python(tmp_path):
     """Angles lie in (−180, 180]: both readings are the same direction, and so the same elevation."""
     program = compiled(c_header(document([], bias_deg=0.0, scale=1.0)), tmp_path)

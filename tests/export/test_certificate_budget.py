@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from decimal import Decimal
+from types import SimpleNamespace
 from typing import Any
 
 import GTC
@@ -18,7 +20,10 @@ from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.uncertainty.verdict import make_verdict
 from calrig.export.calibration_document import calibration_content
+from calrig.export.certificate import sheet
 from calrig.export.certificate.content import budget_of, rounded, with_uncertainty
+from calrig.export.certificate.making import results_of
+from calrig.export.certificate.measured import Measured
 
 HARMONIC = Reference(0.29)
 REFERENCES = [
@@ -83,11 +88,39 @@ def test_gtc_has_the_same_budget(reference: Reference, ends: tuple[float, float]
         assert document["coverage_factor"] == pytest.approx(GTC.reporting.k_factor(GTC.dof(whole), 95))
 
 
+@pytest.mark.parametrize("n", [8, 26])
+@pytest.mark.parametrize("std_deg", [1e-6, 0.02])
+def test_bias_and_scale_have_gtcs_uncertainty_and_coverage_factor(std_deg: float, n: int) -> None:
+    reference, freedom = Reference(std_deg, "common", "normal"), n - 2
+    poses, document = calibrated(reference, n=n)
+    stated = {"std_deg": std_deg, "kind": "common", "distribution": "normal"}
+    document = {**document, "provenance": {"rig": {"reference": stated}}}
+    run: Any = SimpleNamespace(diagnosis=None)
+    budget = budget_of(document, reference, freedom)
+    results = results_of(document, run, Measured(poses, document, None, ()), budget, freedom, (), None)
+    worth = document["uncertainty"]
+    for k, (line, part) in enumerate(zip(results.line, ("bias_deg", "scale"), strict=True)):
+        of_poses = GTC.ureal(0.0, math.sqrt(document["covariance"][k][k]), freedom)
+        whole = of_poses + GTC.ureal(0.0, worth[f"reference_{part}"])
+        factor = GTC.reporting.k_factor(GTC.dof(whole), 95)
+        assert (line.name, line.std) == (part, pytest.approx(GTC.uncertainty(whole)))
+        assert line.coverage_factor == pytest.approx(factor)
+        assert line.expanded == pytest.approx(factor * GTC.uncertainty(whole))
+
+
+def test_degrees_of_freedom_are_printed_as_the_next_lower_whole_number() -> None:
+    """JCGM 100:2008, G.4.1, note 1: an effective ν that is no whole number is truncated."""
+    _, document = calibrated(HARMONIC)
+    made: Any = SimpleNamespace(budget=replace(budget_of(document, HARMONIC, 24), effective_freedom=23.97))
+    _, combined, _ = sheet.budget(made)
+    assert ("Effective degrees of freedom", "23") in combined.rows
+
+
 def test_what_is_not_known_is_said_and_has_no_figure() -> None:
     _, document = calibrated(None)
     budget = budget_of(document, None, 24)
     assert (budget.combined_deg, budget.expanded_deg, budget.coverage_factor) == (None, None, None)
-    assert "what the angle of the stage is worth was not stated" in budget.method[0]
+    assert "angle of the stage" in budget.method[0]
     assert any(said.startswith("Level: not known") for said in budget.not_contained)
 
 

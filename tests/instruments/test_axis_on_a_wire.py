@@ -34,6 +34,6 @@ def test_a_move_the_controller_never_heard_of_fails(controller):
     axis.begin_move(30.0)
     axis.poll()
     clock.at_s += 1.1
-    with pytest.raises(StageError, match=r"move to 30° did not succeed: the stage stands at 0.000°"):
+    with pytest.raises(StageError, match=r"30°.*0\.000°"):
         axis.poll()
     axis.close()

@@ -52,7 +52,7 @@ def test_opening_and_identifying_moves_nothing(controller, stage):
 
 def test_it_counts_as_not_referenced_until_it_was_homed(controller, stage):
     assert stage.status().state == "not_referenced"
-    with pytest.raises(StageError, match="was not homed since its port was opened: PA10 was not sent"):
+    with pytest.raises(StageError, match=r"not homed.*PA10"):
         stage.move(10)
     stage.home()
     controller.replies["1MD?"] = "0"
@@ -113,7 +113,7 @@ def test_a_move_that_was_lost_on_its_way_is_sent_again(controller, referenced):
 def test_a_move_that_was_taken_for_another_is_stopped(controller, referenced):
     controller.once["1PA10"] = [b""]
     controller.replies["1PA?"], controller.replies["1MD?"] = "90", "0"
-    with pytest.raises(StageError, match=r"took PA10 for a move to 90 and was stopped"):
+    with pytest.raises(StageError, match=r"PA10.*90.*stopped"):
         referenced.move(10)
     assert controller.commands()[-1] == "1ST"
 
@@ -208,7 +208,7 @@ def test_a_place_that_never_agrees_fails_in_words(controller, stage):
 
 def test_a_silent_controller_fails_in_words(controller, port, stage):
     controller.silent = True
-    with pytest.raises(StageError, match=f"on {port.name} does not answer MD.*check power"):
+    with pytest.raises(StageError, match=rf"on {port.name} does not answer MD.*check power"):
         stage.status()
     controller.silent = False
     assert stage.status().state == "not_referenced"

@@ -52,6 +52,15 @@ def test_another_axis_has_its_own_letter_settings_and_place(controller, port):
     assert f"{GO} Y5" in controller.lines
 
 
+@pytest.mark.parametrize("state", ["Alarm", "Check", "Sleep", "Hold:0", "Door:0", "Run"])
+def test_a_controller_that_is_not_idle_is_sent_no_move(controller, referenced, state):
+    """In Alarm, whose message may have been lost, GRBL 1.1 locks G-code out (error:9)."""
+    controller.report = f"<{state}|MPos:0.000,0.000,0.000|FS:0,0>"
+    with pytest.raises(StageError, match=state.partition(":")[0].upper()):
+        referenced.move(5)
+    assert not [line for line in controller.lines if "G1" in line]
+
+
 def test_opening_and_identifying_moves_nothing_and_unlocks_nothing(controller, port, stage):
     stage.identify()
     stage.status()
@@ -164,7 +173,7 @@ def test_an_alarm_costs_the_angle_until_it_is_homed_again(controller, port, refe
 
 def test_a_soft_limit_alarm_keeps_the_angle_and_is_unlocked(controller, referenced):
     controller.answers[f"{GO} X200"] = b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
-    with pytest.raises(StageError, match="refused G1 X200: ALARM:2, soft limit"):
+    with pytest.raises(StageError, match=r"G1 X200.*ALARM:2"):
         referenced.move(200)
     assert controller.resets == 1
     assert controller.lines[-2:] == ["$X", "$$"]
@@ -230,7 +239,7 @@ def test_a_listing_cut_alike_twice_is_not_believed(controller, stage):
 
 def test_a_refused_homing_is_said_at_once(controller, stage):
     controller.answers["$H"] = b"error:5\r\n"
-    with pytest.raises(StageError, match=r"refused \$H: homing is not switched on"):
+    with pytest.raises(StageError, match=r"\$H.*\$22"):
         stage.home()
     assert controller.lines.count("$H") == 1
 
@@ -255,7 +264,7 @@ def test_while_it_runs_the_refused_listing_is_no_answer_to_the_move(controller, 
 
 def test_a_silent_controller_is_reset_once_and_then_given_up_in_words(controller, port, stage):
     controller.silent = True
-    with pytest.raises(StageError, match=f"on {port.name} does not answer .*check power"):
+    with pytest.raises(StageError, match=rf"on {port.name} does not answer .*check power"):
         stage.status()
     assert port.sent.count(b"\x18") == 1
     assert port.clock.now_s() < 6.0, "whoever presses Stop waits for it"

@@ -93,7 +93,7 @@ def test_a_count_that_jumps_while_it_stands_costs_the_angle():
     stage.move(40)
     assert stage.position_deg() == 40
     controller.report = IDLE
-    with pytest.raises(StageError, match="jumped from 40° to 0° while it stood"):
+    with pytest.raises(StageError, match="from 40° to 0°"):
         stage.position_deg()
 
 
@@ -129,7 +129,7 @@ def test_a_reset_whose_banner_is_lost_on_the_way_to_0_is_known_and_0_is_not_beli
     port.device.receive(b"?")
     port.clock.sleep(READ_S)
     assert "<Idle|MPos:0.000" in port.device.emit().decode()
-    with pytest.raises(StageError, match="lost its angle: it was reset, and its count with it"):
+    with pytest.raises(StageError, match=r"lost its angle.*reset"):
         stage.position_deg()
     with pytest.raises(StageError, match="takes no move"):
         stage.move(10)
@@ -141,7 +141,7 @@ def test_a_hard_limit_on_the_move_is_told_as_what_it_is_and_homed_away():
     stage.move(170)
     port.device.close_limit_switch()
     assert "ALARM:1, a limit switch was hit" in stage.status().words
-    with pytest.raises(StageError, match=r"lost its angle: ALARM:1, .* stopped the motor by itself"):
+    with pytest.raises(StageError, match=r"lost its angle.*ALARM:1"):
         stage.position_deg()
     with pytest.raises(StageError, match="ALARM:1"):
         stage.move(0)
@@ -166,7 +166,7 @@ def test_another_programs_line_costs_the_angle(words, homing):
 
 def test_a_grbl_before_1_1_is_named():
     port = simulated("grbl", stage={"firmware": "0.9j"})
-    with pytest.raises(StageError, match=r"speaks as Grbl 0\.9j does, and not as GRBL 1\.1"):
+    with pytest.raises(StageError, match=r"Grbl 0\.9j.*GRBL 1\.1"):
         Grbl(port).identify()
     assert b"\x18" not in port.sent
 

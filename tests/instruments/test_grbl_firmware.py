@@ -62,9 +62,7 @@ def test_a_hard_limit_is_told_once_and_the_stage_is_seen_to_stand(controller, st
     words = stage.status().words
     assert words.count("ALARM:1") == 1
     assert "GRBL has stopped the motor by itself" in words
-    with pytest.raises(
-        StageError, match=r"ALARM:1.* stopped the motor by itself.*; then start again"
-    ) as told:
+    with pytest.raises(StageError, match=r"ALARM:1.*start again") as told:
         stage.position_deg()
     assert str(told.value).count("limit switch") == 1
     assert "$X" not in controller.lines
@@ -105,7 +103,7 @@ def test_a_reset_between_check_and_move_is_refused_by_the_controller_and_named(c
         return receive(data)
 
     controller.receive = reset_unseen
-    with pytest.raises(StageError, match="lost its angle: it was reset"):
+    with pytest.raises(StageError, match=r"lost its angle.*reset"):
         stage.move(20)
     assert "F0 S0" in controller.modal, "the move was refused"
 

@@ -45,7 +45,7 @@ def says(device, text: str | bytes) -> None:
 @pytest.mark.parametrize(("text", "told"), HOSTILE.values(), ids=HOSTILE)
 def test_an_identity_that_cannot_be_used_is_told_with_what_was_said(device, board, text, told):
     says(device, text)
-    with pytest.raises(BoardError, match=f"sent an identity that cannot be used.*{told}") as refused:
+    with pytest.raises(BoardError, match=rf"sent an identity that cannot be used.*{told}") as refused:
         board.identify()
     assert str(refused.value).isprintable()
     assert len(str(refused.value)) < LONGEST_MESSAGE
@@ -55,9 +55,7 @@ def test_an_identity_that_cannot_be_used_is_told_with_what_was_said(device, boar
 def test_sixty_kilobytes_of_identity_are_told_and_not_taken_for_a_wrong_baud_rate(device, board, text):
     says(device, text)
     begins = re.escape(repr(text[:10])[:-1])
-    with pytest.raises(
-        BoardError, match=rf"identity is longer than 2048 bytes and begins {begins}"
-    ) as refused:
+    with pytest.raises(BoardError, match=rf"2048 bytes.*begins {begins}") as refused:
         board.identify()
     assert "baud" not in str(refused.value)
     assert len(str(refused.value)) < LONGEST_MESSAGE
@@ -110,7 +108,7 @@ def a_defect(*_: object) -> None:
 
 def test_a_reader_that_fails_inside_says_so_at_once(device, board, monkeypatch):
     monkeypatch.setattr("calrig.instruments.boards.calrig.driver.read_identity", a_defect)
-    with pytest.raises(BoardError, match=r"board calrig on .* failed inside calrig \(ZeroDivisionError.*log"):
+    with pytest.raises(BoardError, match=r"board calrig on .*ZeroDivisionError.*log"):
         board.identify()
 
 
@@ -153,7 +151,7 @@ def test_a_sketchs_reader_that_fails_inside_says_so_at_once(monkeypatch):
     end = SimulatedEnd()
     board = SketchBoard.open(end.path, sketch=TEXTS[0].sketch)
     end.send(b"a/g:")
-    with pytest.raises(BoardError, match=r"board i2cdev-raw on .* failed inside calrig \(ZeroDivisionError"):
+    with pytest.raises(BoardError, match=r"board i2cdev-raw on .*ZeroDivisionError"):
         board.identify()
     board.close()
     end.vanish()

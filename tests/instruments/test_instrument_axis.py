@@ -45,7 +45,7 @@ def test_elevation_is_sign_times_stage_less_zero_over_ratio(elevation, zero, sig
 
 @pytest.mark.parametrize("beyond", [90.001, -90.001, math.inf, -math.inf, math.nan])
 def test_a_target_beyond_the_soft_limits_never_reaches_the_stage(axis, stage, beyond):
-    with pytest.raises(LimitError, match="the rig's soft limits -90° to 90°; nothing was sent"):
+    with pytest.raises(LimitError, match=r"soft limits -90° to 90°.*nothing was sent"):
         axis.begin_move(beyond)
     assert stage.sent == []
 
@@ -83,7 +83,7 @@ def test_a_move_that_has_not_begun_yet_gets_a_moment(axis, stage, clock):
     clock.at_s += 0.9
     assert axis.poll().moving
     clock.at_s += 0.2
-    with pytest.raises(StageError, match=r"move to 20° did not succeed: the stage stands at 0.000°.*READY"):
+    with pytest.raises(StageError, match=r"20°.*0\.000°.*READY"):
         axis.poll()
 
 
@@ -105,7 +105,7 @@ def test_a_move_that_leaves_its_way_is_stopped(axis, stage, astray_deg):
     stage.state, stage.at_deg = "moving", 20.0
     assert axis.poll() == Motion(20.0, moving=True)
     stage.at_deg = astray_deg
-    with pytest.raises(StageError, match=r"the move to 20° from 0° went astray and was stopped near"):
+    with pytest.raises(StageError, match=r"20° from 0°.*stopped"):
         axis.poll()
     assert stage.sent[-1] == "ST"
 
@@ -135,7 +135,7 @@ def test_a_stage_that_counts_from_elsewhere_since_its_last_move_is_not_moved(axi
     stage.at_deg = 20.0
     assert not axis.poll().moving
     stage.at_deg = 0.0  # it was switched off and on
-    with pytest.raises(StageError, match=r"stood at 20° and now stands at 0°, without being told to move"):
+    with pytest.raises(StageError, match=r"20°.*0°.*without"):
         axis.begin_move(30.0)
     assert stage.sent == [("PA", 20.0)]
 
@@ -171,7 +171,7 @@ def test_a_stage_that_says_moving_and_does_not_turn_is_stalled(axis, stage, cloc
     clock.at_s += 2.9
     axis.poll()
     clock.at_s += 0.2
-    with pytest.raises(StageError, match=r"stalled at 2\.000°: the stage says MOVING"):
+    with pytest.raises(StageError, match=r"stalled at 2\.000°.*MOVING"):
         axis.poll()
 
 
@@ -289,7 +289,7 @@ def test_a_stage_that_does_not_stop_is_to_be_cut_from_power(axis, stage, clock):
         clock.at_s += 0.6
 
     stage.halt = halt_as_time_goes_by
-    with pytest.raises(StageError, match=r"it says MOVING.*cut its motor power"):
+    with pytest.raises(StageError, match=r"MOVING.*cut its motor power"):
         axis.confirm_stopped(timeout_s=1.0)
     assert stage.sent == ["ST", "ST"]
 
@@ -308,7 +308,7 @@ def test_a_stage_that_wakes_late_and_stands_is_looked_at_once_more(axis, stage, 
 
 def test_a_stage_that_says_it_stands_and_moves_on_is_to_be_cut_from_power(axis, stage, clock):
     stage.glimpse_deg = lambda: 1.0 * clock.at_s  # it creeps at 1°/s
-    with pytest.raises(StageError, match=r"says READY, and turned by 0.05° meanwhile.*cut its motor power"):
+    with pytest.raises(StageError, match=r"READY.*0\.05°.*cut its motor power"):
         axis.confirm_stopped(timeout_s=2.0)
 
 
@@ -377,6 +377,6 @@ def test_a_stop_is_sent_again_where_its_port_did_not_take_it_in_time(axis, stage
 def test_a_port_that_takes_no_stop_at_all_is_told_of_in_time(axis, stage, clock, monkeypatch):
     monkeypatch.setattr(stage, "halt", blocked(stage, times=1000))
     began_s = clock.at_s
-    with pytest.raises(StageError, match=r"not known to stand .*took nothing .*cut its motor power"):
+    with pytest.raises(StageError, match=r"took nothing.*cut its motor power"):
         axis.confirm_stopped(timeout_s=2.0)
     assert clock.at_s - began_s == pytest.approx(2.0, abs=0.1)

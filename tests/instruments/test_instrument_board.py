@@ -58,13 +58,13 @@ def test_an_identity_that_cannot_be_used_is_said(device, board, identity):
 def test_a_silent_board_fails_in_words(device, board):
     device.ids_to_ignore = 1000
     device.on_line = lambda line: None
-    with pytest.raises(BoardError, match=f"on {device.path} sent no identity in 5 s: it is silent"):
+    with pytest.raises(BoardError, match=rf"on {device.path} .*no identity in 5 s.*silent"):
         board.identify()
 
 
 def test_a_board_with_another_sketch_or_baud_rate_fails_in_words(device, board):
     device.on_line = lambda line: device.wire.send(b"a/g:\t1\t2\t3\t4\t5\t6\r\n")
-    with pytest.raises(BoardError, match="bytes came but no identity: wrong baud rate, or another sketch"):
+    with pytest.raises(BoardError, match=r"no identity.*baud rate.*sketch"):
         board.identify()
 
 
@@ -107,7 +107,7 @@ def test_a_rate_above_the_boards_is_refused_without_asking_it(device, board):
 def test_a_refusal_comes_in_the_boards_own_words(device, board):
     board.identify()
     device.refusal = "rate 200 not possible with FILTER ON"
-    with pytest.raises(BoardError, match="refused START 200: rate 200 not possible with FILTER ON"):
+    with pytest.raises(BoardError, match=r"START 200.*FILTER ON"):
         board.start(200)
 
 
@@ -198,14 +198,14 @@ def test_a_board_that_falls_silent_is_started_again(device, streaming):
 def test_another_board_in_its_place_ends_the_stream(device, streaming):
     device.identity["serial"] = "AS-0043"
     device.say_identity()
-    with pytest.raises(BoardError, match="exchanged while it streamed: it now says it is 'AS-0043'"):
+    with pytest.raises(BoardError, match=r"exchanged.*'AS-0043'"):
         take_n(streaming, 1)
 
 
 def test_a_board_that_falls_silent_fails_in_words_though_it_answers_every_start(device, streaming):
     device.stream(3)
     device.wire.send(packet(3, b"sensor lost"))
-    with pytest.raises(BoardError, match=r"no usable sample for .* silent.*last words were 'sensor lost'"):
+    with pytest.raises(BoardError, match=r"no usable sample.*silent.*'sensor lost'"):
         take_n(streaming, 100)
 
 
@@ -224,14 +224,14 @@ def test_a_sensor_that_hangs_or_is_not_there_fails_in_words(device, streaming, r
 def test_a_clock_that_does_not_fit_the_rate_fails_in_words(device, streaming):
     samples = (sample(k, 1000 + 60_000 * k, (k + 1, 0, 0, 0, 0, 0, 0)) for k in itertools.count())
     enough = device.wire.keep_sending(samples, every_s=0.005)
-    with pytest.raises(BoardError, match="clock does not advance at the rate asked for"):
+    with pytest.raises(BoardError, match=r"clock.*rate"):
         take_n(streaming, 100)
     enough.set()
 
 
 def test_bytes_without_a_whole_packet_fail_in_words(device, streaming):
     enough = device.wire.keep_sending(itertools.repeat(b"\x9c\x00\x66"), every_s=0.005)
-    with pytest.raises(BoardError, match="no packet is whole: check baud rate"):
+    with pytest.raises(BoardError, match=r"no packet.*baud rate"):
         take_n(streaming, 100)
     enough.set()
 

@@ -38,7 +38,7 @@ def test_the_built_in_drivers_open_by_name(controller, device):
     ("open_it", "known"), [(drivers.open_stage, "smc100"), (drivers.open_board, "calrig")]
 )
 def test_an_unknown_driver_names_those_there_are(open_it, known):
-    with pytest.raises(InstrumentError, match=f"driver is called 'nosuch'; there are: .*{known}"):
+    with pytest.raises(InstrumentError, match=rf"'nosuch'.*{known}"):
         open_it("nosuch", "/dev/null")
 
 
@@ -49,7 +49,7 @@ def test_another_package_adds_a_driver_by_an_entry_point(monkeypatch):
 
 def test_a_driver_that_cannot_be_loaded_is_said(monkeypatch):
     offer(monkeypatch, broken="no_such_module:open")
-    with pytest.raises(InstrumentError, match="'broken' is installed but cannot be loaded: No module"):
+    with pytest.raises(InstrumentError, match=r"'broken'.*cannot be loaded.*No module"):
         drivers.open_board("broken", "COM3")
 
 
@@ -102,7 +102,8 @@ def test_the_device_on_the_authors_page_is_opened_and_takes_part_in_a_scan(
 def test_a_package_that_cannot_be_loaded_is_said_in_the_log_and_a_scan_goes_on(monkeypatch, caplog):
     offer(monkeypatch, broken="no_such_module:DEVICE")
     assert {device.driver for device in drivers.known_devices()} == {*drivers.STAGES, *drivers.BOARDS}
-    assert "driver 'broken' is installed but cannot be loaded: No module" in caplog.text
+    assert "driver 'broken'" in caplog.text
+    assert "no_such_module" in caplog.text
 
 
 def test_a_name_of_calrigs_own_is_not_taken_by_another_package(monkeypatch):

@@ -120,7 +120,7 @@ def test_a_move_that_was_lost_on_its_way_is_sent_again(controller, stage):
 
 def test_a_move_that_was_taken_for_another_is_stopped(controller, stage):
     controller.state, controller.lost, controller.target = "28", ["PA10"], "90"
-    with pytest.raises(StageError, match=r"took PA10 for a move to 90 and was stopped"):
+    with pytest.raises(StageError, match=r"PA10.*90.*stopped"):
         stage.move(10)
     controller.wait_for("1ST")
     assert sent(controller, "(PA|ST)") == ["1PA10", "1ST"]
@@ -161,7 +161,7 @@ def test_an_error_of_long_ago_is_not_taken_for_this_moves(controller, stage):
 def test_it_homes_from_not_referenced_only(controller, stage):
     stage.home()
     assert sent(controller, "OR") == ["1OR"]
-    with pytest.raises(StageError, match="homes only from NOT REFERENCED and is in HOMING"):
+    with pytest.raises(StageError, match=r"NOT REFERENCED.*in HOMING"):
         stage.home()
     assert sent(controller, "OR") == ["1OR"]
 
@@ -185,14 +185,14 @@ def test_a_disabled_motor_is_switched_on_once_when_it_is_identified(controller, 
 def test_a_motor_that_stays_disabled_fails_in_words_and_no_flash_is_written(controller, stage):
     controller.state, controller.say["MM1"] = "3D", [b""]
     controller.error_bits = "0020"
-    with pytest.raises(StageError, match=r"stays in DISABLE from MOVING \(following error\)"):
+    with pytest.raises(StageError, match=r"DISABLE from MOVING \(following error\)"):
         stage.identify()
     assert sent(controller, "(MM|PW)") == ["1MM1"]
 
 
 def test_a_silent_stage_fails_in_words(controller, stage):
     controller.silent = True
-    with pytest.raises(StageError, match=f"address 1 on {controller.path} does not answer TS .*check power"):
+    with pytest.raises(StageError, match=rf"address 1 on {controller.path} does not answer TS .*check power"):
         stage.identify()
 
 

@@ -141,7 +141,8 @@ def test_a_scan_recognises_it_by_what_was_received_in_the_time_that_it_listens(n
     far = Played(name, BOARDS[driver].baudrate)
     found, baudrate, words = converse(Uart(far, probes(devices)[0].baudrate), devices)
     if name == "sketch-adafruit-plotter-no-sensor":  # it said one line, at a rate not listened to by then
-        assert (found, words) == (None, "what it sends is no text at any baud rate tried")
+        assert found is None
+        assert "no text" in words
         return
     assert found is not None, words
     assert (found.device.driver, baudrate) == (driver, BOARDS[driver].baudrate)
@@ -230,13 +231,13 @@ def test_zeros_without_a_sensor_are_no_samples(opened, wire):
     board.identify()
     board.start(200)
     blocks, why = until_it_fails(board)
-    assert "all its values are 0: no sensor answers the board" in why
+    assert "no sensor" in why
     assert not sum(map(len, blocks))
 
 
 def test_a_sketch_that_gives_up_without_a_sensor_is_quoted(opened, wire):
     play(wire, recording("sketch-adafruit-plotter-no-sensor"))
-    with pytest.raises(BoardError, match="says 'Failed to find MPU6050 chip' and stops"):
+    with pytest.raises(BoardError, match="'Failed to find MPU6050 chip'"):
         opened("adafruit-plotter").identify()
 
 

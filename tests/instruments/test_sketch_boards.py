@@ -140,7 +140,7 @@ def test_what_goes_wrong_in_the_stream_is_named_and_is_no_sample(wire, opened, t
     enough.set()
     wire.keep_sending(itertools.chain([b"\r\n"], itertools.repeat(piece)))
     board.start(200)
-    with pytest.raises(BoardError, match=f"on {wire.path} has sent no usable sample for .*{words}"):
+    with pytest.raises(BoardError, match=rf"on {wire.path} has sent no usable sample for .*{words}"):
         for n in itertools.count():
             block = board.take(0.1)
             assert len(block) == 0 or n < 5
@@ -164,14 +164,14 @@ def test_what_goes_wrong_in_the_stream_is_named_and_is_no_sample(wire, opened, t
 )
 def test_a_board_that_cannot_be_identified_is_told_why(wire, opened, text, sent, words):
     wire.keep_sending(itertools.repeat(sent))
-    with pytest.raises(BoardError, match=f"board {text.sketch.driver} on {wire.path}.*{words}"):
+    with pytest.raises(BoardError, match=rf"board {text.sketch.driver} on {wire.path}.*{words}"):
         opened(wire, text).identify()
 
 
 def test_the_last_words_of_one_that_fell_silent_are_told(wire, opened):
     board = opened(wire, RAW)
     wire.send(b"Initializing MPU...\r\nTesting MPU6050 connection...\r\nMPU6050 connection failed\r\n")
-    with pytest.raises(BoardError, match=r"it is silent.*last words were 'MPU6050 connection failed'"):
+    with pytest.raises(BoardError, match=r"silent.*'MPU6050 connection failed'"):
         board.identify()
 
 

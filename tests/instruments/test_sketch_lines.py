@@ -283,8 +283,7 @@ def test_a_dialect_whose_fields_do_not_fit_its_lines_is_refused_when_it_is_impor
     tmp_path, monkeypatch, declared, names
 ):
     source = f"""
-        from calrig.instruments.boards.sketch import Sketch, line_forms
-        from calrig.instruments.boards.sketch import board_device
+        from calrig.instruments.boards.sketch import Sketch, board_device, line_forms
 
         SKETCH = Sketch(
             driver="our-lab", source="our/lab", baudrate=9600, pace="", lines=line_forms("a/g:" + "\\t#" * 6),

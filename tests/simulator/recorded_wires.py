@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import os
-from dataclasses import dataclass, field
-from pathlib import Path
-
-from repository import SHARED
 from simulated_devices import as_heard
+from wire_recordings import recording, settings_of
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import stage_of
 
-WIRES = Path(os.environ.get("CALRIG_WIRES", SHARED / "wire"))
 BEGINNING_S = 10.0
 POLL_S = 0.001
 IN_A_ROW_S = 0.0005
@@ -25,23 +19,13 @@ AT_WRONG_BAUD_S = (2.0, 5.6)
 """In the one recording whose host changes its rate; the end of a line goes out when it comes back."""
 
 
-@dataclass
 class Recording:
-    """One file: what the host sent, what came, and what was done by other means, each with its time."""
+    """One conversation, by its name: what the host sent, what came, and what was done by other means."""
 
-    name: str
-    settings: dict[int, float]
-    entries: list[tuple[float, str, str]] = field(default_factory=list)
-
-    @classmethod
-    def read(cls, path: Path) -> Recording:
-        head, *rest = (json.loads(line) for line in path.read_text("utf-8").splitlines())
-        settings = {int(number): float(value) for number, value in head["settings"].items()}
-        entries = []
-        for entry in rest:
-            kind = next(kind for kind in ("to", "from", "event") if kind in entry)
-            entries.append((entry["t"], kind, entry[kind]))
-        return cls(path.stem, settings, entries)
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.settings = settings_of(name)
+        self.entries = recording(name)
 
     @property
     def is_old(self) -> bool:

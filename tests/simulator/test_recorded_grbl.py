@@ -8,11 +8,10 @@ from __future__ import annotations
 import re
 
 import pytest
-from recorded_wires import AT_WRONG_BAUD_S, WIRES, Recording, Replay
+from recorded_wires import AT_WRONG_BAUD_S, Recording, Replay
+from wire_recordings import recordings
 
-FILES = sorted(WIRES.glob("grbl*.jsonl")) or [
-    pytest.param(WIRES, marks=pytest.mark.skip(reason=f"no recorded wires beside the repository ({WIRES})"))
-]
+NAMES = recordings("grbl*")
 LATE_S = 0.06
 """An answer comes within this of the recorded one."""
 HOMING_LATE_S = 0.35
@@ -68,20 +67,20 @@ def parsed(line: str) -> tuple[str, str | None, dict[str, list[float] | str]]:
     return found["state"], found["substate"], fields
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_it_says_what_the_firmware_said(path):
-    recording = Recording.read(path)
+@pytest.mark.parametrize("name", NAMES)
+def test_it_says_what_the_firmware_said(name):
+    recording = Recording(name)
     came, said = replayed(recording)
     answers, own = ([line for line in lines if line[1][:1] != "<"] for lines in (came, said))
     assert [line for _, line in own] == [line for _, line in answers]
-    late_s = HOMING_LATE_S if path.stem in HOMING else LATE_S
+    late_s = HOMING_LATE_S if name in HOMING else LATE_S
     for (at_s, line), (own_s, _) in zip(answers, own, strict=True):
         assert own_s == pytest.approx(at_s, abs=late_s), line
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_it_reports_what_the_firmware_reported(path):
-    recording = Recording.read(path)
+@pytest.mark.parametrize("name", NAMES)
+def test_it_reports_what_the_firmware_reported(name):
+    recording = Recording(name)
     came, said = replayed(recording)
     reports, own = (
         [(at_s, parsed(line)) for at_s, line in lines if line[:1] == "<"] for lines in (came, said)
@@ -107,15 +106,15 @@ def test_it_reports_what_the_firmware_reported(path):
         if not rates and state in ("Run", "Hold"):
             moves_dps = 500 / 60
         jitter_s = BURST_JITTER_S if recording.name == "grbl11h-rx-overflow" else JITTER_S
-        for name, value in fields.items():
-            if name in ("MPos", "WPos"):
+        for field, value in fields.items():
+            if field in ("MPos", "WPos"):
                 loose = STOPPED_DEG if at_s >= stopped_s else 0.0
-                assert its_own[2][name] == pytest.approx(
+                assert its_own[2][field] == pytest.approx(
                     value, abs=STEP_DEG + loose + jitter_s * max(moves_dps, 1.0)
                 ), (at_s, report, its_own)
-            elif name == "FS":
+            elif field == "FS":
                 assert its_own[2]["FS"] == pytest.approx(value, abs=RATE_PER_MIN), (at_s, report, its_own)
-            elif name == "Bf":
+            elif field == "Bf":
                 assert its_own[2]["Bf"] == pytest.approx(value, abs=1), (at_s, report, its_own)
             else:
-                assert its_own[2][name] == value, (at_s, report, its_own)
+                assert its_own[2][field] == value, (at_s, report, its_own)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calrig.simulator.config import MechanicsOptions
 from calrig.simulator.mechanics import Mechanics, through_play
-from calrig.simulator.motion_options import MechanicsOptions
 from calrig.simulator.trajectory import Segment, Trajectory, braking, trapezoid
 
 ANGLES = st.floats(-170, 170)

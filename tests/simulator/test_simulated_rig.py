@@ -17,13 +17,13 @@ import serial
 from simulated_packets import Packet, decode
 from support import PATIENCE_S, program
 
-from calrig.simulator import ports
+from calrig.simulator import wire
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.launch import launch
 from calrig.simulator.rig import SimulatedRig
 
 KINDS = [
-    pytest.param("pty", marks=pytest.mark.skipif(not ports.PTY_AVAILABLE, reason="no pseudo-terminals here")),
+    pytest.param("pty", marks=pytest.mark.skipif(not wire.PTY_AVAILABLE, reason="no pseudo-terminals here")),
     "tcp",
 ]
 

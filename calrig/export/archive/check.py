@@ -1,8 +1,7 @@
-"""What the parts of an archive say of one another: trail, list of revisions, documents.
+"""Verification of an archive by itself, without the store that it came from.
 
-Whether an archive's poses give the numbers of a document: the same fit once more, by today's program.
-
-Whether an archive is what was written: by itself, without the store that it came from.
+It is checked against its own hashes, its parts (audit trail, list of revisions, documents) against one
+another, and the numbers of each document against a new fit of the archive's poses by this program.
 """
 
 from __future__ import annotations

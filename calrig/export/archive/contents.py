@@ -1,6 +1,6 @@
-"""A zip that is made as it is sent: the same bytes for the same members, a hash of all at its end.
+"""The archive of a unit: what a store has of it, written as a zip while it is sent, one run at a time.
 
-What a store knows of a unit, as the members of its archive: one after the other, a run at a time.
+The same members always give the same bytes; a hash of all of them is at the end.
 """
 
 from __future__ import annotations

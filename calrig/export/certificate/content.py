@@ -1,19 +1,14 @@
-"""Numbers as metrologists write them: an uncertainty with two digits, its value to the same place.
+"""The content of a certificate of calibration, in the order of ISO/IEC 17025:2017, 7.8.2 and 7.8.4.
 
-JCGM 100:2008, 7.2.6. Rounded from the shortest decimal that is the number, half away from zero.
+It is made once (`making.certificate_of`) and written in several forms, none of which computes anything. What
+is unknown is None, an empty tuple or `NOT_STATED`, never a default.
 
-The measurement uncertainty budget of a calibrated elevation, by the GUM (JCGM 100:2008).
+Numbers are rounded as in JCGM 100:2008, 7.2.6: an uncertainty to two digits, its value to the same place,
+from the shortest decimal that is the number, half away from zero.
 
-The calibration document is the authority: its combined uncertainty, k and U stand in the budget as they are,
-and here they are taken apart into what they are made of. What they were made by is
+The uncertainty budget follows JCGM 100:2008. The calibration document is the authority: its combined
+uncertainty, k and U are taken from it, and only split into contributions here. They are computed by
 `calrig.calibration.uncertainty.budget`.
-
-The errors of poses that a certificate shows: by elevation, and pose by pose.
-
-What a certificate of calibration says, in the order of ISO/IEC 17025:2017, 7.8.2 and 7.8.4.
-
-Made once (`making.certificate_of`) and written in several forms, none of which computes anything. What is not
-known is None, an empty tuple or `NOT_STATED`, never a default.
 """
 
 from __future__ import annotations

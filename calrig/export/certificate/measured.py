@@ -1,6 +1,7 @@
-"""What a revision did to the poses it rests on: errors as found and as left, and step by step.
+"""What a revision rests on: its poses, the standards that they were measured with, and their traceability.
 
-What a run was measured by, and what shows that it is traceable, as its provenance kept it.
+The errors of the poses are given as found and as left, and step by step; standards and equipment are those
+that the run's provenance states.
 """
 
 from __future__ import annotations

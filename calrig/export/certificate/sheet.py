@@ -1,9 +1,4 @@
-"""What a certificate's page is made of.
-
-A certificate's results, errors, budget and conformity, laid out.
-
-A certificate laid out: sections of plain text, for a renderer that knows pairs, tables, paragraphs.
-"""
+"""A certificate laid out: sections of plain text as pairs, tables and paragraphs, for a renderer."""
 
 from __future__ import annotations
 

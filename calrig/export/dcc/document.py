@@ -1,7 +1,4 @@
-"""A DCC's measurement results: methods, equipment, conditions and the figures with their uncertainties.
-
-A certificate as a DCC. Every number in it is the certificate's own; nothing is computed here.
-"""
+"""A certificate as a DCC. Every number in it is the certificate's own; nothing is computed here."""
 
 from __future__ import annotations
 

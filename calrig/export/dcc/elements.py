@@ -1,7 +1,4 @@
-"""The pieces that a DCC is built of: elements, texts, quantities with their units in D-SI's notation.
-
-A DCC's administrative data: who, what, when, and what is stated about all of it.
-"""
+"""The elements of a DCC: texts, quantities with units in D-SI's notation, and its administrative data."""
 
 from __future__ import annotations
 

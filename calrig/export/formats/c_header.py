@@ -1,6 +1,6 @@
-"""Of `calibration.h`: the accelerometer's matrix, and vectors that tell whether a program applies it well.
+"""A unit's calibration as `calibration.h`: plain C99 in `float`, no allocation, section 6's arithmetic.
 
-A unit's calibration as `calibration.h`: plain C99 in `float`, no allocation, section 6's arithmetic.
+The header contains the accelerometer's matrix if there is one, and test vectors for the program that uses it.
 """
 
 from __future__ import annotations

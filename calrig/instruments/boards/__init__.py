@@ -1,1 +1,1 @@
-"""Boards: a folder a device, found by its `DEVICE`, and beside them what several share."""
+"""Boards: a folder a device, found by its `DEVICE`, and the modules that several share."""

@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 
 class ReadBoard(ABC):
-    """One board on a port. Whatever ends its thread is told to whoever waits for the board.
+    """One board on a port. What ends its thread is raised to the caller that waits for the board.
 
     Args:
         port: its port, open; closed with the board.
@@ -45,7 +45,7 @@ class ReadBoard(ABC):
 
         Raises:
             BoardError: for too long the board has been silent, frozen, unreadable or without a sensor; or
-                it was reset and has taken its zero anew.
+                it was reset and has taken a new zero.
             PortError: the port went away.
         """
         with self._news:

@@ -1,8 +1,8 @@
-"""Boards that already run somebody's sketch and print text: what calrig has to know of one, in a record.
+"""Boards that run a public sketch and print text: what calrig needs to know of one, as a record.
 
-The facts are the sketches' own sources (repository and path in `source`). Serial.print gives a float two
-decimals, so a line's form is known to the character; println ends it CR LF. The folders beside this file have
-a record each, of which `sketch_device` makes a device; `sketch_board` is the driver of all of them.
+The facts come from the sketches' own sources (repository and path in `source`). Serial.print gives a float
+two decimals, so a line's form is known to the character; println ends it CR LF. Each folder next to this file
+has one record, which `board_device` turns into a device; `sketch_board` is the driver of all of them.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ class Sketch:
         mute: why it may send nothing at all.
         is_mute_at_reset: its setup prints nothing that surely tells a reset: a silence as long as a boot
             loader's is taken for one.
-        settles_s: how long after such a reset its own filter needs, whose angle is left out meanwhile.
+        settles_s: how long after such a reset its own filter needs, whose angle is excluded until then.
         checks_chip: it goes on only with the WHO_AM_I of an MPU-6050.
         frozen_after_s: how long equal records may be honest; 0 where two in a row never are.
-        zeroes_at_reset: it takes a zero anew when it starts, so that what it sends before and after a reset
+        zeroes_at_reset: it takes a new zero when it starts, so that what it sends before and after a reset
             does not belong together.
         wake: what it waits for before it starts.
         starts_in_s: from reset to its first record at the latest.
@@ -113,7 +113,7 @@ class Sketch:
 
 
 def line_forms(*lines: str) -> tuple[re.Pattern[str], ...]:
-    """Patterns of lines in which `#` stands for an i16 and `%` for a float."""
+    """Return the patterns of lines in which `#` is an i16 and `%` a float."""
     return tuple(
         re.compile(re.escape(line).replace(r"\#", I16).replace("%", FLOAT), re.ASCII) for line in lines
     )

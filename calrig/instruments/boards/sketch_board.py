@@ -1,4 +1,8 @@
-"""Boards that already run somebody's sketch and print text (CONTRACT 3.2): one class for all of them."""
+"""The driver of boards that run a public sketch and print text (CONTRACT 3.2).
+
+`SketchReader` turns bytes into whole records, `SketchSamples` turns records into samples, `SketchBoard` is
+the board on its port.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +55,7 @@ class SketchReader:
         self._since_record = Counter[str]()
 
     def feed(self, data: bytes) -> list[Record | None]:
-        """The records completed by `data`, None where the board began anew between them.
+        """Return the records completed by `data`, with None where the board was reset between them.
 
         Raises:
             BoardError: it says that it stops, and why.
@@ -174,7 +178,7 @@ class SketchSamples:
         return bool(self._last) and not any(self._last[:6])
 
     def restart(self) -> None:
-        """The board began anew."""
+        """Continue after a reset of the board."""
         self._last, self._held, self.frozen_s = (), [], 0.0
 
     def push(self, records: list[tuple[float, Record]]) -> Samples:
@@ -250,8 +254,8 @@ class SketchBoard(ReadBoard):
     """One board on a port; a thread reads from the first moment.
 
     It has no clock, so that a sample's time is that of its arrival: records that come in one read are spread
-    evenly between the arrival before and this one. It cannot be told a rate or to stop. A reset in the
-    middle is counted as `board_reset`; a sketch that takes its zero anew then ends the stream.
+    evenly between the arrival before and this one. It has no command for a rate or to stop. A reset in the
+    middle is counted as `board_reset`; a sketch that takes a new zero then ends the stream.
     """
 
     def __init__(self, port: Port, sketch: Sketch) -> None:

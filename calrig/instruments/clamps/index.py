@@ -1,7 +1,7 @@
-"""A dividing head that speaks four words (driver `index`); lines end CR LF.
+"""A dividing head with a protocol of four words (driver `index`); lines end CR LF.
 
-`ID` → who it is; `CLAMP 120.000 x` → `OK` once the unit sits at that angle with that axis along the
-stage's, or `ERR` and why. Whoever builds one from a stepper and an Arduino has little to write.
+`ID` is answered with its name. `CLAMP 120.000 x` is answered with `OK` once the unit is clamped at that angle
+with that axis along the stage's, or with `ERR` and the reason.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from calrig.instruments.stages.lines import LineWire
 
 BAUDRATE = 115_200
 WAKES_S = 3.0
-"""An Arduino boots when its port is opened, and hears nothing meanwhile."""
+"""An Arduino boots when its port is opened, and takes no commands while it boots."""
 ASKED_AGAIN_S = 0.5
 TURNS_S = 60.0
 

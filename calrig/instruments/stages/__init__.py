@@ -1,1 +1,1 @@
-"""Stage controllers: a folder a device, found by its `DEVICE`, and beside them what several share."""
+"""Stage controllers: a folder a device, found by its `DEVICE`, and the modules that several share."""

@@ -20,7 +20,7 @@ XON_XOFF = b"\x11" + XOFF
 
 
 class LineWire:
-    """One controller's lines; empty ones are nobody's.
+    """One controller's lines; empty ones are dropped.
 
     One thread asks; any thread may halt. Software flow control is left off: commands are short and go one at
     a time, and a stray XOFF must never be able to hold back a stop; it is counted as `flow_control`.

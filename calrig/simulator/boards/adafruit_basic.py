@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from calrig.simulator.sketch import Found, Motion, Setup, Sketch, lines, si, stop
-from calrig.simulator.sketch_board import running
+from calrig.simulator.sketch_board import Found, Motion, Setup, Sketch, lines, running, si, stop
 
 
 class Basic(Sketch):

@@ -7,8 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from calrig.simulator.sketch import A_CHARACTER, Complementary, Found, Motion, Setup, lines, stop
-from calrig.simulator.sketch_board import running
+from calrig.simulator.sketch_board import (
+    A_CHARACTER,
+    Complementary,
+    Found,
+    Motion,
+    Setup,
+    lines,
+    running,
+    stop,
+)
 
 CALIBRATION = ">*......>......"
 """A mark a step: of the accelerometer, then of the gyro; `*` where it was still far off."""

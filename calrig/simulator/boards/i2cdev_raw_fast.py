@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from calrig.simulator.boards.i2cdev_raw import Raw
-from calrig.simulator.sketch import Found, Motion, Setup, lines, stop
-from calrig.simulator.sketch_board import running
+from calrig.simulator.sketch_board import Found, Motion, Setup, lines, running, stop
 
 
 class FastRaw(Raw):

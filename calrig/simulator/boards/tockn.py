@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from calrig.simulator.sketch import Complementary, Found, Motion, Setup, lines
-from calrig.simulator.sketch_board import running
+from calrig.simulator.sketch_board import Complementary, Found, Motion, Setup, lines, running
 
 
 class Tockn(Complementary):

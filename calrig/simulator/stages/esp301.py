@@ -1,6 +1,6 @@
 """The stage's dialect: a Newport ESP301.
 
-Its source is the manual (user's manual, section 3) as `../shared/stages.md` beside the repository gives
+Its source is the manual (user's manual, section 3) as `../shared/stages.md` next to the repository gives
 it. No conversation with a real one was recorded: what the manual leaves open is this module's guess.
 """
 

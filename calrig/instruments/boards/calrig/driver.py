@@ -1,13 +1,8 @@
-"""A sign in the stream of a `calrig` board that what comes after it was measured after it was asked for.
+"""Boards that speak the packet protocol of CONTRACT 3.1 (driver `calrig`).
 
-The sign is the answer to `ID`, which the board gives between two samples. However long samples are held up
-on their way, those behind the sign are new; a clock compared with the host's could not tell where the rig's
-run faster. Answers do not say which asking they answer, so each counts for the first that may still be
-answered.
-
-Sample packets of a `calrig` board to samples with a continuous time, damage counted and left out.
-
-Boards that speak the packet protocol of CONTRACT 3.1 (driver `calrig`).
+`Mark` tells samples measured after a request from older ones, however late they arrive. `SampleStream` turns
+sample packets into samples with a continuous time, and counts and drops damaged ones. `CalrigBoard` is the
+driver.
 """
 
 from __future__ import annotations
@@ -133,7 +128,7 @@ class SampleStream:
         return self._before is not None and not self._before[REGISTERS].any()
 
     def restart(self, elapsed_s: float) -> None:
-        """The board begins again at seq 0, its clock anew, elapsed_s (host's clock) after the last one.
+        """Continue after a reset: the board's seq and clock at 0, elapsed_s (host's clock) after the last.
 
         How long that was by the board's clock is not known, so that it always counts as a gap.
         """
@@ -185,7 +180,7 @@ class SampleStream:
             return rows, steps
         ahead = np.ones(len(rows), dtype=bool)
         last = int(rows[0, SEQ])
-        for k, seq in enumerate(rows[1:, SEQ].tolist(), start=1):  # each held against the last that counted
+        for k, seq in enumerate(rows[1:, SEQ].tolist(), start=1):  # each compared with the last accepted one
             ahead[k] = (seq - last + 2**15) % 2**16 - 2**15 > 0
             last = seq if ahead[k] else last
         steps = (np.diff(rows[ahead, SEQ]) + 2**15) % 2**16 - 2**15
@@ -226,7 +221,7 @@ ANSWER_S = 1.0
 LATE_S = 0.12
 """Longer than reading and a system at rest let samples wait: then something on their way does."""
 RESTART_S = 1.0
-"""So long after it fell silent, and again, a board is started anew: what told of its reset may be lost."""
+"""So long after it fell silent, and again, a board is restarted: the sign of its reset may be lost."""
 SILENCE_S = 4.0
 """Longer than the 3 s that a board may take from a reset to its identity."""
 USELESS_S = 2.0
@@ -245,7 +240,7 @@ class CalrigBoard(ReadBoard):
         self._decoder = PacketDecoder(self.faults)
         self._identity: BoardIdentity | None = None
         self._stream: SampleStream | None = None
-        self._start_line: str | None = None  # what it acknowledged; None again once told to stop
+        self._start_line: str | None = None  # what it acknowledged; None again once STOP was sent
         self._streaming = False  # whether samples are accepted: from the acknowledge of START to that of STOP
         self._period_s = 0.0
         self._asked = ""
@@ -327,7 +322,7 @@ class CalrigBoard(ReadBoard):
             self._command("STOP")
 
     def close(self) -> None:
-        """Closes the port, having told a streaming board to stop; never raises."""
+        """Stop a streaming board and close the port; never raises."""
         if self._start_line is not None:
             with contextlib.suppress(PortError), self._news:
                 self._start_line = None
@@ -437,7 +432,7 @@ class CalrigBoard(ReadBoard):
             self._start_again()
 
     def _start_again(self) -> None:
-        """Starts a board anew that was reset, or may have been: it is silent, or did not acknowledge."""
+        """Restart a board that was reset or may have been: it is silent, or did not acknowledge."""
         self.faults["board_reset" if self._is_reset else "restarted"] += 1
         self._streaming &= not self._is_reset  # what is only late is still to be taken
         self._is_reset, self._awaits_start = False, True

@@ -1,7 +1,18 @@
-"""Whether a GRBL controller's count of steps is the stage's angle, and what that angle is.
+"""The GRBL controller's count of steps: whether it is the stage's angle, and which angle.
 
-GRBL counts its own steps and knows nothing of the table. Its count is the angle from a homing on, or where
-there is no homing, from the place where it was switched on; and only until an alarm, a reset or a jump.
+GRBL counts its own steps and does not measure the table. Its count is the angle from a homing on or, without
+homing, from the position at power-up; it stops being the angle at an alarm, a reset or a jump.
+
+`Marks` are words in the modal state (`$G`) that show a reset or another program's lines. A reset is announced
+by a banner, which may be lost on the serial link, and a count that begins again at 0 looks like one that has
+arrived there. As recorded from its firmware, GRBL 1.1 keeps these words:
+
+- `S` (spindle speed; `M5` keeps the spindle off) survives moves, holds and program ends; a reset makes it 0.
+- `T` is 0 after every G-code line that has none. Each line of calrig's has it, another program's has not.
+- `F` survives like `S`. A move is sent as `G1` without `F`: a controller that was reset between the check
+  and the move has no feed rate and refuses it (error:22), so that it does not move from a wrong count.
+
+Units and distance mode go with every line, so that nothing set before changes how a move is read.
 """
 
 from __future__ import annotations
@@ -91,7 +102,7 @@ class Count:
             raise StageError(f"{self._name} has lost its angle: {self.unreferenced}; then {todo}")
 
     def check(self, here_deg: float) -> None:
-        """Accepts an angle at which the stage stands, on which two reports agree.
+        """Accept an angle at rest on which two reports agree.
 
         Raises:
             StageError: the count has jumped, or is no angle any more for another reason.

@@ -1,9 +1,9 @@
-"""GRBL 1.1 (driver `grbl`): an Arduino with a stepper shield turning the stage, one unit a degree.
+"""GRBL 1.1 (driver `grbl`): an Arduino with a stepper shield rotating the stage, one unit per degree.
 
 `axis` 1 is X, 2 Y, 3 Z. Angles are work coordinates: an offset that an operator has stored (`G54`) is kept.
-Where its count is no longer the stage's angle (`count`, `marks`), `move` refuses and `position_deg` raises
-until it has been homed. A controller that an alarm has locked is reset, which moves nothing and unlocks
-nothing. `$X` is sent in one case alone: after a soft limit alarm, when no step was lost.
+Once its count is no longer the stage's angle (`count`), `move` refuses and `position_deg` raises until the
+stage is homed. A controller locked by an alarm is reset, which moves nothing and unlocks nothing. `$X` is
+sent in one case only: after a soft limit alarm, in which no step is lost.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 `ok` and `error:n` do not say what they answer. So every command is followed by the listing of settings
 (`$$`), which moves nothing and looks like nothing else: lines are answered in order, so the last answer
-before the listing is the command's own, and an earlier one, late or doubled, is nobody's.
+before the listing is the command's own, and an earlier one, late or doubled, is ignored.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ UNITS_OF_SPEED = 1.6384
 
 REPLY = re.compile(r"@(\d{2} \d \d{2} (?:OK|RJ) (?:IDLE|BUSY) (?:--|[A-Z]{2}) .+):([0-9A-F]{2})")
 STOP_REPLY = re.compile(r"@\d{2} 1 (?:OK|RJ) (?:IDLE|BUSY) (?:--|[A-Z]{2}) \S+")
-"""What a stop is answered with: it carries no number, for nobody waits for it."""
+"""The reply to a stop. It carries no number, since the driver does not wait for it."""
 DAMAGED = "BADCOMMAND"
 """The refusal of what cannot be read: a NUL byte, for one, escapes the checksum."""
 MOTION = re.compile(r"/\d+ \d+ \d+ (?:move|home)\b.*")
@@ -109,10 +109,10 @@ class Zaber:
             return StageStatus("ready", words)
 
     def position_deg(self) -> float:
-        """Where a standing stage says it is: two reads in a row that agree, three on a wire with faults.
+        """Return the position at rest: two reads in a row that agree, three on a link with faults.
 
         Raises:
-            StageError: it does not answer, or stands and yet never says the same twice.
+            StageError: no reply, or the reads differ although the stage is at rest.
         """
         with self._asking:
             return standstill.position_deg(self._name, self.glimpse_deg, self._moves, self.faults)
@@ -224,7 +224,7 @@ class Zaber:
                 else:
                     self._lines.send(data)
             except Halted:
-                continue  # who asked for the motion is told so when its time is up
+                continue  # the caller gets Halted once its time is up
             except PortError as error:
                 self._fail(error)
 

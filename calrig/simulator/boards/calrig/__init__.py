@@ -33,7 +33,7 @@ class _Stream:
 
 
 class Board:
-    """A board with one sensor, fed with bytes, answering in bytes and streaming when told to.
+    """A board with one sensor, fed with bytes, answering in bytes and streaming on command.
 
     Attributes:
         fault: breaks it on purpose, at any time: `silent`, `garbage`, `corrupt` (every tenth packet's bytes),
@@ -78,7 +78,7 @@ class Board:
             self.reset()
 
     def reset(self) -> None:
-        """It begins anew at the next block: says who it is, counts time from there, and streams no more."""
+        """Reset it at the next block: it sends its identity, counts time from there, and stops streaming."""
         self._is_reset = True
 
     def receive(self, data: bytes) -> bytes:
@@ -112,7 +112,7 @@ class Board:
         return said
 
     def _is_booting(self) -> bool:
-        """Whether it hears nothing; begins anew where it was reset."""
+        """Whether it takes no commands; it begins again if it was reset."""
         if self._is_reset:
             self._is_reset, self._is_behind, self._stream, self._tail = False, False, None, b""
             self._heard.clear()

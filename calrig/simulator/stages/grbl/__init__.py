@@ -2,7 +2,7 @@
 
 A rig that is not there: its physics are `calrig.simulator.mechanics` and `bench`. Apart from them, this wire
 dialect is written from conversations recorded with the unmodified firmware, `../shared/wire/grbl11h-*` and
-`grbl09j-*` beside the repository, and from the firmware's behaviour where they are silent. The tests
+`grbl09j-*` next to the repository, and from the firmware's behaviour where they are silent. The tests
 replay every one of the recordings.
 
 It counts the steps that it commands and never sees the table: what it loses against an obstruction it does
@@ -64,7 +64,7 @@ class Grbl(Stage):
             return self._firmware.state
 
     def reset(self) -> None:
-        """The reset line is pulled, as by opening its port: it counts from 0, wherever it stands."""
+        """The reset line is pulled, as by opening its port: it counts from 0 at any position."""
         with self._bench.lock:
             now_s = self._now()
             self._firmware.run(now_s)

@@ -108,7 +108,7 @@ class Eeprom:
         ]
 
     def _set_up(self, options: StageOptions) -> None:
-        """Write what whoever built the rig has written."""
+        """Write the settings that the rig's builder has written."""
         low, high = options.limits_deg
         homing = float(options.homing)
         self.values |= {HARD_LIMITS: homing, HOMING: homing, HOMING_SIDE: (1 << self.n_axes) - 1}

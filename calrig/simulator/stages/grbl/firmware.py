@@ -31,12 +31,12 @@ from calrig.simulator.trajectory import Segment
 
 Run = Generator[float, None, None]
 LONGEST_LINE = 79
-"""Characters that the line buffer holds beside its end."""
+"""Characters that the line buffer holds, without its end."""
 ENDS = b"\r\n"
 READ_LINE_S, ANSWER_S = 0.0005, 0.001
 """From the end of a line to its execution, and from there to its answer."""
 REPORT_S = 0.002
-"""What a report takes; who asks again meanwhile gets none for it."""
+"""What a report takes; a query in that time gets no report of its own."""
 ALARM_S = 0.5
 """For so long it waits after an alarm and hears no reset."""
 CLOSING_S = 0.004
@@ -59,7 +59,7 @@ class LineBuffer:
         self._line, self._comment, self._is_too_long = "", "", False
 
     def take(self, byte: int) -> bool:
-        """Take a byte; returns whether it is one too many of an old firmware, which begins anew with it."""
+        """Take a byte; returns whether it is one too many of an old firmware, which begins again with it."""
         char = chr(byte)
         if self._comment or self._is_too_long:
             if self._comment == "(" and char == ")":
@@ -103,7 +103,7 @@ class Firmware:
     Attributes:
         at_s: the time that it lives in.
         state: as a report names it.
-        is_aborted: a reset was taken; the main loop ends and begins anew.
+        is_aborted: a reset was taken; the main loop ends and begins again.
         closed: axes whose switch is held closed.
     """
 
@@ -241,7 +241,7 @@ class Firmware:
     # What it does
 
     def begin_s(self) -> float:
-        """The instant for a motion that begins now, which nobody has sampled yet."""
+        """Return the instant for a motion that begins now, not sampled yet."""
         return max(self.at_s, self._now_s)
 
     def cycle_start(self) -> None:
@@ -254,7 +254,7 @@ class Firmware:
         self._flags.add("hold")
 
     def raise_alarm(self, alarm: int) -> None:
-        """Have an alarm told at the next look at the flags."""
+        """Have an alarm reported at the next check of the flags."""
         self._alarm = alarm
 
     def reset_now(self) -> None:
@@ -289,7 +289,7 @@ class Firmware:
         return self.state in (State.RUN, State.JOG) and not self._braking
 
     def brake_to_idle(self) -> Run:
-        """Come to rest on the way, for good (soft limits)."""
+        """Come to rest on the way, permanently (soft limits)."""
         self.motion.brake(self.begin_s())
         self.state, self._braking = State.HOLD, True
         while self.at_s < self._stops_s() and "reset" not in self._flags:

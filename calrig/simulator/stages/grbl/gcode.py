@@ -137,7 +137,7 @@ class _Words:
                 self._value(letter, value)
 
     def axis_values(self) -> dict[int, float]:
-        """What stands behind axis letters, by axis."""
+        """The numbers after axis letters, by axis."""
         return {index: self.values[letter] for index, letter in enumerate(self.axes) if letter in self.values}
 
     def _claim(self, use: str) -> None:
@@ -300,7 +300,7 @@ def _feed(
 def _from_here(
     state: ParserState, system: list[float], axis_values: Mapping[int, float], others: list[float]
 ) -> list[float]:
-    """The offset that makes the present place read as told; other axes keep theirs."""
+    """Return the offset that makes the present position read as given; other axes keep theirs."""
     result = list(others)
     for axis, value in axis_values.items():
         result[axis] = state.position[axis] - system[axis] - value

@@ -121,7 +121,7 @@ class Motion:
         self._send(at_s)
 
     def brake(self, at_s: float) -> None:
-        """Come to rest on the way; what is left of it waits for `begin`."""
+        """Come to rest on the way; the remainder waits for `begin`."""
         begin_s = at_s + AHEAD_S
         if begin_s >= self._rests_s:
             return

@@ -184,7 +184,7 @@ class Words:
         return f"error:{number}"
 
     def remark(self, text: str) -> str:
-        """A message that nobody asked for."""
+        """Return an unsolicited message."""
         return f"[{text}]" if self.is_old else f"[MSG:{text}]"
 
     def _old_status(self, status: Status, mask: int, work: Sequence[float]) -> str:
