@@ -1,7 +1,4 @@
-"""What a revision of a calibration rests on: which runs can give one, and what of it has changed since.
-
-A unit's calibration in force: the revision, and as a verification applies it.
-"""
+"""The basis of a unit's revisions, what has changed of it, and the revision that a verification applies."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""What a revision's certificate is made of, gathered from the store.
-
-A unit's archive from a store: what `calrig.export.archive` packs, with its certificates.
-
-A unit's calibration in the formats of other programs: those of a revision, and those of its noise.
-"""
+"""Certificates, archives and exports of a revision, made from the store."""
 
 from __future__ import annotations
 

@@ -1,14 +1,4 @@
-"""Who may speak to the service: the token that is asked for, and the names it is known by.
-
-Who asks: the name, where somebody is known by name, and what they may do.
-
-What a connection's client has shown with its last request: by it places are kept or given away.
-
-The server's side (`calrig.api.connections`) lays a `Place` into each request, the application notes in it
-what it found out.
-
-How often an address may try a code: what is tried wrongly is forgotten a minute later.
-"""
+"""Access to the service: token and host names, callers and roles, trust levels, and attempts at a code."""
 
 from __future__ import annotations
 
@@ -27,7 +17,8 @@ from fastapi import Depends, Request
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
-from calrig.store.users import ROLES, Role, User
+from calrig.model.service import Role
+from calrig.store.users import ROLES, User
 
 if TYPE_CHECKING:
     from calrig.settings import Settings
@@ -130,9 +121,6 @@ def network_of(address: str) -> str | None:
     if found.is_loopback:
         return None
     return str(found) if found.version == 4 else str(ip_network((found, 64), strict=False))
-
-
-# No `from __future__ import annotations`: FastAPI reads the annotations of the dependencies.
 
 
 KEY = "calrig_caller"

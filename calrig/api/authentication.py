@@ -1,9 +1,4 @@
-"""People who have logged in on the page.
-
-What a proxy in front says of its clients: believed of those that are trusted, dropped of anybody else.
-
-Who may come in: a program by its token, a person by a session begun with one or by a trusted proxy.
-"""
+"""Authentication: a program by its token, a person by a session or by a trusted proxy."""
 
 from __future__ import annotations
 

@@ -14,10 +14,11 @@ from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, Heavy, Wait
-from calrig.api.models import Answer, Body, RunAnswer
+from calrig.api.models import Body, RunAnswer
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.regression import ORIGINS, Effect, Origin, Scope
+from calrig.model.base import Model
 from calrig.model.diagnosis import Diagnosis
 from calrig.store import Run
 
@@ -125,7 +126,7 @@ async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who, wai
     return await heavy.answer(work, wait=wait, kept_at=lambda begun: f"/api/runs/{begun.id}")
 
 
-class EffectParameter(Answer):
+class EffectParameter(Model):
     """A parameter; `unit` is null where it is the covariate's own, `flag` where it is 1 or absent."""
 
     name: str
@@ -134,7 +135,7 @@ class EffectParameter(Answer):
     flag: bool
 
 
-class CatalogueEffect(Answer):
+class CatalogueEffect(Model):
     """An effect of the catalogue: CONTRACT section 5, in words."""
 
     name: str

@@ -1,10 +1,6 @@
-"""Long work that nobody waits for: how far it is, what came of it, and its end on request.
+"""Background work of requests: run in another process, reported as a job, cancelled on request.
 
-Heavy work of a request: carried out in another process, and given up when the client leaves.
-
-Who does not want to wait is told by which name it goes on (`calrig.api.jobs`).
-
-Answers to what has a thread of its own, waited for in the event loop: no other request is in the way.
+The work is given up when the client leaves. A client that does not wait gets the id of the job.
 """
 
 from __future__ import annotations
@@ -25,9 +21,6 @@ from calrig.api.job import Job
 from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
 
-# No `from __future__ import annotations`: FastAPI reads the annotations of the dependency.
-
-
 router = APIRouter(tags=["jobs"])
 
 
@@ -35,8 +28,8 @@ async def _known_job(job_id: str, context: Context) -> Job:
     job = context.jobs.get(job_id)
     if job is None:
         raise Unknown(
-            f"there is no job {job_id!r}: it ended long ago, or the service was started anew since: look "
-            "whether the run has what was asked for, else ask again"
+            f"unknown job {job_id!r}: its record has expired, or the service was restarted. Check "
+            "whether the run has the result; if not, repeat the request"
         )
     return job
 
@@ -80,9 +73,6 @@ async def show_result(job: KnownJob) -> Response:
         where = f": it is at {job.result}" if job.result else ""
         raise Conflict(f"job {job.id} is {job.state} and keeps no result{where}")
     return Response(job.content, media_type="application/json")
-
-
-# No `from __future__ import annotations`: FastAPI reads the annotations of the dependency.
 
 
 T = TypeVar("T")

@@ -2,6 +2,7 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
+from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
@@ -194,17 +195,8 @@ def _listed(one: Listed) -> dict[str, Any]:
 
 def _beside(kept: StoredSolution | Listed, found: Any) -> dict[str, Any]:
     """What an answer has beside the document, of which `units` is a part."""
-    return {
-        "id": kept.id,
-        "created_at": kept.created_at,
-        "by": kept.by,
-        "rig": found.rig,
-        "runs": list(found.basis.runs),
-        "linear": found.basis.linear,
-        "periods_deg": list(found.basis.periods_deg),
-        "seat_std_deg": found.basis.seat_std_deg,
-        "frame": found.basis.frame,
-    }
+    known_by = {"id": kept.id, "created_at": kept.created_at, "by": kept.by, "rig": found.rig}
+    return {**asdict(found.basis), **known_by}
 
 
 def _file(document: dict[str, Any]) -> Response:

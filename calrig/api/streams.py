@@ -1,10 +1,7 @@
-"""One look into the store for all who want to see the same, however many watch.
+"""Event streams, coalesced and cached reads of the store, and a fair order of requests.
 
-Few of many go on in one round of the event loop, so that a crowd of them leaves it to a stop in between.
-
-Where hundreds of requests or streams went on in one round, a stop that came meanwhile would wait for each.
-
-The event streams that are open: woken when their run's log has grown, ended when the service is.
+If hundreds of requests or streams proceeded in one iteration of the event loop, a stop request would wait for
+all of them.
 """
 
 from __future__ import annotations

@@ -34,6 +34,8 @@ def diagnose(
     """
     from calrig.calibration.poses import DiagnosisError
     from calrig.cli import output
+    from calrig.client.documents import typed
+    from calrig.model.diagnosis import Diagnosis
 
     files = [source for source in sources if names_a_file(source)]
     if files and len(files) < len(sources):
@@ -45,7 +47,7 @@ def diagnose(
     if as_json:
         output.print_json(found)
     else:
-        output.print_diagnosis(found)
+        output.print_diagnosis(typed(Diagnosis, found))
 
 
 def gravity(

@@ -1,11 +1,4 @@
-"""`solve`: stage map, mounts and units together.
-
-A joint solution as a person reads it.
-
-A solution of whole units as a person reads it.
-
-Runs solved by a running service, which has them and keeps the solution.
-"""
+"""`solve`: a joint solution of stage map, mounts and units, of files or stored runs, and its tables."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_a_schedulers_workers_do_it(runs, scheduler):
 
 def test_a_scheduler_that_does_not_answer_is_one_line(runs, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("calrig.cli.dask_workers.PATIENCE_S", 1.0)
+    monkeypatch.setattr("calrig.cli.fleet.PATIENCE_S", 1.0)
     with closing(socket.create_server(("127.0.0.1", 0))) as taken:
         port = taken.getsockname()[1]
     said = reason("fleet", "--scheduler", f"tcp://127.0.0.1:{port}", status=1)
