@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from calrig import figures
 from calrig.analysis.check_standard import check_document
-from calrig.analysis.error_map import ErrorMap, basis_of, poses_by_mounting, solved_map
+from calrig.analysis.error_map import basis_of, poses_by_mounting, solved_map
 from calrig.analysis.stage_maps import listed_maps, put_in_force, shown_map
 from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context
@@ -21,24 +21,14 @@ from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.models import Body
 from calrig.model.base import Model
 from calrig.model.noise import Figure
+from calrig.model.solution import ErrorMap
 
 router = APIRouter(tags=["rigs"])
 
 
-class ErrorMapAnswer(Model):
-    """What the elevation is more than the dial says, by its angle and approach, from so many units."""
-
-    stage_deg: list[float]
-    approach: list[int]
-    error_deg: list[float]
-    std_deg: list[float]
-    units: int
-    says: str
-
-
 @router.get(
     "/api/rigs/{name}/error-map",
-    response_model=ErrorMapAnswer,
+    response_model=ErrorMap,
     responses=problems(404, 429),
     summary="The rig error map",
 )
