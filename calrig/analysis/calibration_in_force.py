@@ -55,7 +55,7 @@ def why_not_now(run: Run) -> str | None:
 def basis_of(
     accepted: Sequence[AcceptedEffect], excluded: Sequence[int], chosen: Sequence[str] | None
 ) -> Document:
-    """What a draft rests on beside its run, to be held against the same later.
+    """Return the basis of a draft in addition to its run, to be compared with the basis later.
 
     Args:
         accepted: effects that enter, of the unit and of its rig.

@@ -30,7 +30,7 @@ Answer = dict[str, Any]
 """The report of a log, and its pictures with their captions."""
 
 MOST_SAMPLES = 2_000_000
-"""Of a log; the command line takes a longer one, on the memory of whoever asks."""
+"""Of a log; the command line takes longer ones, on the memory of its own machine."""
 
 
 def study_file(

@@ -211,7 +211,7 @@ class Issuer:
         return self._store.release(unit, number, by, None if reason is None else checked_reason(reason))
 
     def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
-        """Takes a revision back for good.
+        """Withdraw a revision permanently.
 
         Raises:
             Refused: it has been withdrawn already.

@@ -39,7 +39,7 @@ class Access:
     """What a service asks of those who speak to it.
 
     Attributes:
-        token: what has to be shown; None where whoever reaches the address may do everything.
+        token: required of clients; None where every client that reaches the address may do everything.
         names: host names, in lower case, that it answers to besides the address a connection came in at.
         patience_s: how late a wrong token is answered.
         proxies: networks of the proxies that say whom they let in.
@@ -156,7 +156,7 @@ class People:
         self.reread()
 
     def reread(self) -> None:
-        """Looks into the store again; whoever changes users calls this before it answers."""
+        """Read the users from the store again; call this after every change, before answering."""
         with self._turn:
             enabled = [user for user in self._read() if user.disabled_at is None]
             # By digest: how long a look-up takes then says nothing about the tokens that are known.
@@ -208,11 +208,11 @@ async def _name(request: Request) -> str | None:
 
 
 Who = Annotated[str | None, Depends(_name)]
-"""The name of whoever asks, as the trail keeps it; None where nobody is known by name."""
+"""The caller's name, as the audit log keeps it; None where no user is known by name."""
 
 
 def requires(role: Role) -> Any:
-    """A dependency of a path that is not open to everybody: 403 to whoever has a lesser role."""
+    """Return a dependency that answers 403 to callers with a lesser role."""
 
     async def check(request: Request) -> None:
         caller = caller_of(request)

@@ -160,7 +160,7 @@ class ListedBatch(Model):
 router = APIRouter(tags=["batches"])
 
 
-@router.get("/api/batches", response_model=list[ListedBatch], summary="Lists of units, the newest first")
+@router.get("/api/batches", response_model=list[ListedBatch], summary="Batches, the newest first")
 def list_batches(context: Context) -> object:
     """The last twenty."""
     return [
@@ -175,10 +175,10 @@ def list_batches(context: Context) -> object:
     status_code=201,
     response_model=BatchAnswer,
     responses=problems(404, 413, 422),
-    summary="Make a list of units",
+    summary="Create a batch",
 )
 def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
-    """Nothing moves before a person says that a unit is mounted. A unit named twice has one turn."""
+    """Nothing moves until a person confirms that a unit is mounted. A unit named twice is one batch item."""
     rigs = body.rigs or [context.service.known_rig(None).name]
     made = context.batches.make(
         body.serials(),
@@ -196,7 +196,7 @@ def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
     dependencies=[requires("operator")],
     response_model=SerialsAnswer,
     responses=problems(413, 422),
-    summary="The serials of a CSV, to be looked at before a list is made of them",
+    summary="Read the serials of a CSV, before a batch is made of them",
 )
 def read_serials(body: Table) -> object:
     """Keeps nothing. 422 names the line that is wrong."""
@@ -212,7 +212,7 @@ def read_serials(body: Table) -> object:
         304: {"description": "Nothing has changed since the `ETag` of `If-None-Match`."},
         **problems(404),
     },
-    summary="A list as it stands",
+    summary="A batch and its state",
 )
 def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, Header()] = "") -> Response:
     """Asked for again and again by those who watch: 304 while nothing has changed."""
@@ -228,12 +228,12 @@ def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, He
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409, 413, 422),
-    summary="Add units to a list",
+    summary="Add units to a batch",
 )
 def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
-    """At its end; what it has already stays where it is, and is told in `known`, unless it failed for good.
+    """Added at the end. Units of the batch stay where they are and are listed in `known`, unless they failed.
 
-    409 where nothing of the list was measured for hours: it is another day's.
+    409 where no unit of the batch was measured for hours.
     """
     known = context.batches.add(batch_id, body.serials())
     return _answer(context, batch_id, known)
@@ -244,7 +244,7 @@ def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409, 422),
-    summary="Take a unit out of a list",
+    summary="Remove a unit from a batch",
 )
 def remove_unit(batch_id: str, body: NameUnit, context: Context) -> object:
     """One that waits; 409 otherwise."""
@@ -257,7 +257,7 @@ def remove_unit(batch_id: str, body: NameUnit, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409, 422),
-    summary="A unit of a list is mounted: begin its run",
+    summary="Start the run of a mounted unit",
 )
 async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: Heavy, who: Who) -> object:
     """409 where the unit does not wait or the rig is busy: of two who ask at once one is refused.
@@ -278,7 +278,7 @@ async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: He
     dependencies=[requires("operator")],
     response_model=LookAnswer,
     responses=problems(404),
-    summary="Look whether the units asked for are there",
+    summary="Check whether the expected units are present",
 )
 def look(batch_id: str, context: Context) -> object:
     """For six seconds the boards of idle rigs are opened and listened to; nothing moves.
@@ -293,10 +293,10 @@ def look(batch_id: str, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409),
-    summary="End a list",
+    summary="Close a batch",
 )
 def close_batch(batch_id: str, context: Context) -> object:
-    """A run under way goes on."""
+    """A run in progress continues."""
     context.batches.close(batch_id)
     return _answer(context, batch_id)
 

@@ -88,7 +88,7 @@ def add_bench(body: NewBench, context: Context, who: Who) -> object:
     summary="Join as a bench",
 )
 def enroll(body: Code, request: Request, context: Context) -> Joined:
-    """Open to whoever has a code. A wrong one is 403, and after five within a minute 429."""
+    """Open to every client with a code. A wrong code gets 403, after five within a minute 429."""
     attempt = context.enrolling.begin(request)
     address = address_of(request)
     try:
@@ -111,10 +111,10 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
     response_model=Membership,
     responses=problems(404),
     dependencies=[requires("admin")],
-    summary="Let a bench in no more",
+    summary="Revoke a bench",
 )
 def revoke_bench(name: str, context: Context, who: Who) -> object:
-    """Its role can log in no more and its connections end; what it measured stays."""
+    """Blocks the bench's login and closes its connections; data it has measured is kept."""
     return context.store.revoke_bench(name, who=who)
 
 

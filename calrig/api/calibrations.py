@@ -161,10 +161,10 @@ def release(
     dependencies=[requires("releaser")],
     response_model=Revision,
     responses=problems(404, 409, 413, 422),
-    summary="Take a revision back for good",
+    summary="Withdraw a revision permanently",
 )
 def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
-    """Where it was in force, none is afterwards."""
+    """If it was in force, the unit has no calibration in force afterwards."""
     withdrawn = context.issuer.withdraw(unit.serial, revision, by=who, reason=body.reason)
     return context.issuer.listed([withdrawn])[0]
 

@@ -58,7 +58,7 @@ async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy
     cross-validation.
     """
 
-    async def work(job: Job) -> dict[str, Any]:
+    async def work(job: Job) -> object:
         question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
         try:
             found = await job.run(question, tells_progress=True)
@@ -75,7 +75,7 @@ async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy
     responses=problems(404),
     summary="The last diagnosis of a run",
 )
-def last_diagnosis(run: KnownRun, context: Context) -> dict[str, Any]:
+def last_diagnosis(run: KnownRun, context: Context) -> object:
     """404 before the first."""
     return context.diagnoses.last(run.id)
 

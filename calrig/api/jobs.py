@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.api.access import requires
 from calrig.api.context import Context, context_of
-from calrig.api.errors import CLIENT_LEFT, problems
+from calrig.api.errors import CLIENT_LEFT, Responses, problems
 from calrig.api.job import Job
 from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
@@ -79,7 +79,7 @@ T = TypeVar("T")
 
 AT_ONCE_S = 2.0
 """What is done by then is answered as if it had been waited for."""
-ACCEPTED: dict[int | str, dict[str, Any]] = {
+ACCEPTED: Responses = {
     202: {"model": JobState, "description": "With `wait=false`, after two seconds: `GET /api/jobs/{id}`"}
 }
 Wait = Annotated[
@@ -172,7 +172,7 @@ MOST_S = 10.0
 
 
 async def answer_of(errand: SharedTask[T], stage: str) -> T:
-    """What comes of a stop, which goes on whoever still waits for it.
+    """Return the outcome of a stop, which continues even if the client stops waiting.
 
     Raises:
         Conflict: not in time.

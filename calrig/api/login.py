@@ -23,7 +23,7 @@ class Login(Body):
 
 
 class LoginAnswer(Model):
-    """Whether to show who one is, whether whoever asks has, and who they are then."""
+    """Whether a login is needed, whether the caller is logged in, and as which user."""
 
     needed: bool
     logged_in: bool

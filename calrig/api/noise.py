@@ -43,7 +43,7 @@ async def _keeper(request: Request) -> Caller | None:
 
 
 Keeper = Annotated[Caller | None, Depends(_keeper)]
-"""Who asks, if what they find is kept; None of whoever may only look."""
+"""The caller, if their studies are stored; None for callers who may only read."""
 
 
 @router.get(
@@ -110,7 +110,7 @@ async def log_filters(
 
 
 async def _of_run(study: Study, run: Run, context: ApiContext, heavy: BackgroundWork, wait: bool) -> Any:
-    async def work(job: Job) -> dict[str, Any]:
+    async def work(job: Job) -> object:
         async with on_disk(partial(lay_samples, context.store, run.id)) as path:
             try:
                 return await job.run(partial(study_samples, study, path, NAMES, gyro_scale_of(run)))
@@ -128,7 +128,7 @@ async def _of_file(
         study_file, study, rate_hz=rate_hz, accel_range_g=accel_range_g, gyro_range_dps=gyro_range_dps
     )
 
-    async def work(job: Job) -> dict[str, Any]:
+    async def work(job: Job) -> object:
         async with on_disk(copied(log.file)) as path:
             try:
                 found = await job.run(partial(question, path), tells_progress=True)

@@ -244,7 +244,7 @@ def show_check_unit(name: str, context: Context) -> object:
     summary="Name the unit that a rig is checked by",
 )
 def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -> object:
-    """Its runs on the rig from now on are checks; those before are what the first is held against."""
+    """Its runs on the rig from now on are checks; its earlier runs are the baseline for the first check."""
     context.service.known_rig(name)
     context.store.name_check_unit(name, body.unit, body.interval_days, who=who)
     return check_document(context.store, name)

@@ -93,10 +93,9 @@ def rigs(context: Context) -> object:
     summary="Look who answers on which port",
 )
 async def scan(context: Context) -> object:
-    """Moves nothing, but resets most boards; ports of this service's rigs and those in use are left alone.
+    """Moves nothing, but resets most boards; ports of this service's rigs and ports in use are left alone.
 
-    It takes some seven seconds. Who asks meanwhile shares the answer: two at once would find each port in
-    use by the other.
+    It takes about seven seconds. Concurrent requests share one scan: two scans would find each port in use.
     """
     looking = context.scans.share("scan", WALL, partial(ports.scan, ours=context.service.ports()))
     found = await asyncio.shield(asyncio.wrap_future(looking.future))
@@ -110,10 +109,10 @@ async def scan(context: Context) -> object:
     summary="Stop a rig's stage now",
 )
 async def stop(name: str, context: Context) -> object:
-    """Whatever runs on it is aborted; a stage that stands by itself is told as well.
+    """A run on the rig is aborted; a stage at rest gets the stop command as well.
 
-    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds, within two where
-    its port does not open.
+    200 once two consecutive reports show the stage at rest at the same angle; else 409 within ten seconds,
+    within two where its port does not open.
     """
     return await answer_of(context.service.begin_stop(name), f"the stage of rig {name!r}")
 

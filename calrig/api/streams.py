@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 class ReadCoalescer:
-    """Looks that have not begun yet, by what they are for. Used in the server's event loop only.
+    """Share reads of the store that have not begun yet, by key. Use in the event loop only.
 
     Event streams that have come equally far wait for one, which begins after the news that woke them.
     One that has begun is shared with nobody else: it may have missed what they were woken for.
@@ -66,7 +66,9 @@ SHARE = 0.1
 
 
 class ReadCache:
-    """What looks gave, by what they are for: good enough for all who ask again soon. In the event loop only.
+    """Cache recent store reads by key for a short time, with at most one read per key in progress.
+
+    Use in the event loop only.
 
     Args:
         now_s: seconds that never go back.
@@ -104,10 +106,10 @@ AT_ONCE = re.compile(r"/api/(health|rigs/[^/]+/stop|runs/[^/]+/abort)")
 
 
 class FairScheduler:
-    """Turns of those who wait, in their order. Used in one event loop.
+    """Limit how many requests or streams proceed per event-loop iteration, first come first served.
 
     Args:
-        in_a_round: how many go on before the loop takes what has come meanwhile.
+        in_a_round: how many proceed per iteration of the event loop.
     """
 
     def __init__(self, in_a_round: int = 1) -> None:

@@ -36,7 +36,7 @@ ItemField = Literal[
 
 
 class ItemBody(Body):
-    """A unit as it was handed in; what is left out is not stated on its certificates.
+    """A calibration item as received; fields that are left out are not stated on its certificates.
 
     `supplied` names the fields that are the customer's own word; `interval_agreed_months` is for where the
     customer agreed to an interval.
@@ -87,7 +87,7 @@ class ItemAnswer(Model):
     "/api/units/{serial:path}/item",
     response_model=ItemAnswer,
     responses=problems(404),
-    summary="How a unit was handed in",
+    summary="The calibration item as received",
 )
 def show_item(unit: KnownUnit, context: Context) -> object:
     """What certificates of calibrations made from now on state of it."""
@@ -99,7 +99,7 @@ def show_item(unit: KnownUnit, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=ItemAnswer,
     responses=problems(404, 413, 422),
-    summary="Say how a unit was handed in",
+    summary="Set the calibration item as received",
 )
 def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> object:
     """All of it at once. Certificates of runs before `received_at` keep what was said before."""

@@ -1,4 +1,4 @@
-"""Users, as an admin keeps them: who is known, in which role, by which token."""
+"""Users, managed by an admin: name, role and token."""
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
@@ -38,9 +38,9 @@ class UserWithToken(KnownUser):
     token: str | None
 
 
-@router.get("/api/users", response_model=list[KnownUser], summary="Everybody who is known, or was")
+@router.get("/api/users", response_model=list[KnownUser], summary="All users")
 def list_users(context: Context) -> list[User]:
-    """By name. For admins, as all that is about users."""
+    """By name, disabled users included."""
     return context.store.users()
 
 
@@ -52,7 +52,7 @@ def list_users(context: Context) -> list[User]:
     summary="Add a user",
 )
 def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
-    """With a token, shown this once: the store keeps its hash. Who was disabled is added again likewise."""
+    """The token is shown only here: the store keeps its hash. A disabled user is added again in this way."""
     user, token = context.store.add_user(body.name, body.role, with_token=body.token, who=who)
     auth.people.reread()
     return _with_token(user, token)
@@ -65,7 +65,7 @@ def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
     summary="Give a user a new token",
 )
 def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
-    """In place of the one before, which opens nothing from then on, nor does a session begun with it."""
+    """The previous token and all logins made with it stop working."""
     user, token = context.store.new_token(name, who=who)
     auth.people.reread()
     return _with_token(user, token)
@@ -78,7 +78,7 @@ def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
     summary="Give a user another role",
 )
 def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -> object:
-    """From now on, also where they have logged in. The last admin stays one."""
+    """The role takes effect at once, also in sessions. The last admin keeps that role."""
     user = context.store.set_role(name, body.role, who=who)
     auth.people.reread()
     return user
@@ -88,10 +88,10 @@ def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -
     "/api/users/{name}/disable",
     response_model=KnownUser,
     responses=problems(404, 409),
-    summary="Let a user in no more",
+    summary="Disable a user",
 )
 def disable_user(name: str, context: Context, auth: Auth, who: Who) -> object:
-    """Token and sessions open nothing any more. What they did stays theirs; the last admin stays."""
+    """Token and sessions stop working. Past actions keep the name; the last admin cannot be disabled."""
     user = context.store.disable_user(name, who=who)
     auth.people.reread()
     return user

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from calrig.cli.progress import LOOK_S, Notice, Refusal
@@ -72,10 +72,9 @@ class FollowedRun:
         with _refusals():
             self._client.post(f"/api/rigs/{quote(str(self._rig), safe='')}/clamp", wanted.model_dump())
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> object:
         """As the API gives it."""
-        document: dict[str, Any] = self._client.get(f"/api/runs/{self.id}")
-        return document
+        return self._client.get(f"/api/runs/{self.id}")
 
     def _listen(self) -> None:
         try:

@@ -184,7 +184,7 @@ class Watched(Protocol):
     def news(self) -> Sequence[Happened]:
         """What happened since the last look; waits for `LOOK_S` at most."""
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> object:
         """The run as the API gives it."""
 
 
@@ -262,7 +262,7 @@ def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> Non
     """Follows a run on the terminal, asks for what it waits for, and prints how it ended.
 
     Args:
-        begin: begins it; a Ctrl-C meanwhile is not lost, but aborts it then.
+        begin: starts it; a Ctrl-C during the start aborts the run once it has started.
         unit: its serial number.
         as_json: whether its document is printed.
 
@@ -276,7 +276,7 @@ def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> Non
     print_end(run.document(), as_json=as_json)
 
 
-def print_end(ended: dict[str, Any], *, as_json: bool) -> None:
+def print_end(ended: object, *, as_json: bool) -> None:
     """Prints a run that has ended: its document, or its figures and its verdict.
 
     Raises:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -79,7 +79,7 @@ class RunElsewhere:
             time.sleep(LOOK_S)
         return events
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> object:
         """As the API gives it."""
         from calrig.analysis.stored_runs import stored_run
         from calrig.api.models import RunAnswer

@@ -60,8 +60,13 @@ class Client(Transport):
             Refused: the rig is busy or does not exist.
             Invalid: the plan or the serial number is wrong.
         """
-        said: dict[str, Any] = {"rig": rig, "operator": operator, "note": note, "stage_at_deg": stage_at_deg}
-        body: dict[str, Any] = {
+        said: dict[str, object] = {
+            "rig": rig,
+            "operator": operator,
+            "note": note,
+            "stage_at_deg": stage_at_deg,
+        }
+        body: dict[str, object] = {
             "unit": unit,
             **{key: value for key, value in said.items() if value is not None},
         }
@@ -142,13 +147,13 @@ class Client(Transport):
         Raises:
             Invalid: no plan reaches it; says what would.
         """
-        wanted: dict[str, Any] = {
+        wanted: dict[str, object] = {
             "rig": rig,
             "target_u_deg": target_u_deg,
             "time_s": time_s,
             "until": until and dict(until),
         }
-        body: dict[str, Any] = {
+        body: dict[str, object] = {
             "unit": unit,
             "trace": trace,
             "sweep": sweep,
@@ -198,7 +203,7 @@ class Client(Transport):
             file: path of a CSV with a row a sample.
             rate_hz: samples a second; goes before the log's own time.
             accel_range_g: full scale of the accelerometer's raw counts.
-            gyro_range_dps: likewise of the gyro's.
+            gyro_range_dps: full scale of the gyro's raw counts.
             sent: is told the share that is sent.
             told: is told the share that is analysed.
 
@@ -245,8 +250,8 @@ class Client(Transport):
             units: serial numbers: all their calibrations that count.
             rig: alone, all calibrations that count on it.
             linear: whether the units have no quadratic and cubic terms.
-            periods_deg: of gears, where somebody knows them.
-            seat_std_deg: how far one clamping of a face scatters from the next, likewise.
+            periods_deg: known periods of gears.
+            seat_std_deg: repeatability (standard deviation) of clamping a face, where it is known.
             frame: of units clamped by several faces, whose their matrix is.
             limits_deg: of the stage, which advice keeps to; without them those of the last run.
             told: is told the share that is done, where the service can say.

@@ -44,8 +44,8 @@ class Verdict:
 
     Attributes:
         answer: against the limits that match; `no_limits` where none do.
-        left: what is left after everything accepted; None where the noise is not known.
-        ratio: RMS of what is left over what noise alone would leave, 1 at best; None likewise.
+        left: the residual after everything accepted; None where the noise is not known.
+        ratio: RMS residual over that of noise alone, 1 at best; None where the noise is not known.
         says: the same in sentences, the answer first.
         limit: name of the limit that was applied.
         probability_of_conformity: that what the limit asks holds of the true figures; None without a limit,
