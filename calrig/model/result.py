@@ -101,8 +101,8 @@ class RangeErrors:
         covariance: of bias and scale, type A; None where too few poses tell.
         freedom: degrees of freedom of the scatter that it is from.
         expanded_uncertainty_deg: of one calibrated elevation; None where the reference is not known.
-        error_expanded_uncertainty_deg: of the errors below: it contains the noise of a reading, where that of an
-            elevation contains the whole residual. None where the reference is not known.
+        error_expanded_uncertainty_deg: of the errors below: it contains the noise of a reading, where that of
+            an elevation contains the whole residual. None where the reference is not known.
         coverage_factor: its k, for the probability `coverage`.
         elevation_deg: (m,) in the middle of stretches of the range, ascending.
         lowest_error_deg: (m,) of the poses in each stretch, calibrated elevation less θ.
