@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.calibration.separation import MountedPoses
     from calrig.client import Client, RunRecord
-    from calrig.model.solution import SolutionDocument, SolvedUnit, SolvedValue
-    from calrig.store.solved import Frame, Solved
+    from calrig.model.solution import Frame, SolutionDocument, SolvedUnit, SolvedValue
+    from calrig.store.solved import Solved
 
 
 NOT_DRAWN = "solve: --plot is of units clamped by one face: leave it out, nothing was solved"
