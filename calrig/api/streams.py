@@ -1,7 +1,10 @@
-"""Event streams, coalesced and cached reads of the store, and a fair order of requests.
+"""One look into the store for all who want to see the same, however many watch.
 
-If hundreds of requests or streams proceeded in one iteration of the event loop, a stop request would wait for
-all of them.
+Few of many go on in one round of the event loop, so that a crowd of them leaves it to a stop in between.
+
+Where hundreds of requests or streams went on in one round, a stop that came meanwhile would wait for each.
+
+The event streams that are open: woken when their run's log has grown, ended when the service is.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ T = TypeVar("T")
 
 
 class ReadCoalescer:
-    """Share reads of the store that have not begun yet, by key. Use in the event loop only.
+    """Looks that have not begun yet, by what they are for. Used in the server's event loop only.
 
     Event streams that have come equally far wait for one, which begins after the news that woke them.
     One that has begun is shared with nobody else: it may have missed what they were woken for.
@@ -66,9 +69,7 @@ SHARE = 0.1
 
 
 class ReadCache:
-    """Cache recent store reads by key for a short time, with at most one read per key in progress.
-
-    Use in the event loop only.
+    """What looks gave, by what they are for: good enough for all who ask again soon. In the event loop only.
 
     Args:
         now_s: seconds that never go back.
@@ -106,10 +107,10 @@ AT_ONCE = re.compile(r"/api/(health|rigs/[^/]+/stop|runs/[^/]+/abort)")
 
 
 class FairScheduler:
-    """Limit how many requests or streams proceed per event-loop iteration, first come first served.
+    """Turns of those who wait, in their order. Used in one event loop.
 
     Args:
-        in_a_round: how many proceed per iteration of the event loop.
+        in_a_round: how many go on before the loop takes what has come meanwhile.
     """
 
     def __init__(self, in_a_round: int = 1) -> None:
