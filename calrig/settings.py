@@ -98,7 +98,7 @@ class StageSettings(Strict):
     """A rig's stage: elevation = sign · (stage − zero_deg) / ratio.
 
     `port`, of a board as well, is anything `serial.serial_for_url` opens, or `usb:` and the serial number of
-    the USB adapter, which stays the same when the system names its ports anew.
+    the USB adapter, which stays the same when the system renames its ports.
     """
 
     driver: str

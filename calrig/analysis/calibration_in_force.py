@@ -1,7 +1,4 @@
-"""What a revision of a calibration rests on: which runs can give one, and what of it has changed since.
-
-A unit's calibration in force: the revision, and as a verification applies it.
-"""
+"""The basis of a unit's revisions, what has changed of it, and the revision that a verification applies."""
 
 from __future__ import annotations
 
@@ -58,7 +55,7 @@ def why_not_now(run: Run) -> str | None:
 def basis_of(
     accepted: Sequence[AcceptedEffect], excluded: Sequence[int], chosen: Sequence[str] | None
 ) -> Document:
-    """What a draft rests on beside its run, to be held against the same later.
+    """Return the basis of a draft in addition to its run, to be compared with the basis later.
 
     Args:
         accepted: effects that enter, of the unit and of its rig.

@@ -1,9 +1,4 @@
-"""What a revision's certificate is made of, gathered from the store.
-
-A unit's archive from a store: what `calrig.export.archive` packs, with its certificates.
-
-A unit's calibration in the formats of other programs: those of a revision, and those of its noise.
-"""
+"""Certificates, archives and exports of a revision, made from the store."""
 
 from __future__ import annotations
 
@@ -92,7 +87,7 @@ def _before(store: Store, revision: Revision, entries: Sequence[Entry]) -> Revis
 
 
 def _came_with(store: Store, revision: Revision, before: Revision | None) -> Revision | None:
-    """The last one in force before it that is of another run: what the unit was calibrated by as it came."""
+    """The last one in force before it that is of another run: the unit's calibration as found."""
     seen = {revision.revision}
     while before is not None and before.run_id == revision.run_id and before.revision not in seen:
         seen.add(before.revision)

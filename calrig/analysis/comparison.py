@@ -164,7 +164,7 @@ def _marked(apart: Sequence[str], units: int, *, known: bool) -> str:
     if not known:
         return (
             "Whether a unit changed is not known yet: that takes units that were calibrated more than once, "
-            "to know what clamping anew and the day add."
+            "to know the remounting and between-day components."
         )
     if not apart:
         return "No unit changed by more than repeatability."

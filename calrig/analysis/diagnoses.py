@@ -1,7 +1,4 @@
-"""Diagnoses of stored runs: made, kept, drawn.
-
-Effects that people accept from a diagnosis, or take back.
-"""
+"""Diagnoses of stored runs, and the acceptance of their effects."""
 
 from __future__ import annotations
 
@@ -23,6 +20,7 @@ from calrig.analysis.stored_runs import (
 from calrig.calibration.diagnosis import PartialResidual, partial_residuals, trace
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
+from calrig.model.diagnosis import Diagnosis, EffectFound
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Run
 
@@ -122,12 +120,10 @@ class Acceptance:
             Unknown: no such run, or it has not been diagnosed.
             Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for.
         """
-        run = stored_run(self._store, run_id)
-        if run.diagnosis is None:
-            raise Unknown(f"run {run_id} has not been diagnosed")
+        run, diagnosis = stored_run(self._store, run_id), Diagnoses(self._store).last(run_id)
         # what was the same in all runs goes before what changed between two of them
-        found = sorted(run.diagnosis["effects"], key=_is_change, reverse=True)
-        known = {effect["name"]: effect for effect in found}
+        found = sorted(Diagnosis.model_validate(diagnosis).effects, key=lambda one: one.changed is None)
+        known = {effect.name: effect for effect in found}
         accepted = []
         for name in names:
             if name not in known:
@@ -164,24 +160,20 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(name.replace("_", " ") for name in names)
 
 
-def _is_change(effect: dict[str, Any]) -> bool:
-    return effect.get("changed") is not None
-
-
-def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
-    name, origin = effect["name"], effect["origin"]
-    if effect["verdict"] != "named":
-        raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
+def _accepted(run: Run, effect: EffectFound) -> AcceptedEffect:
+    name, origin = effect.name, effect.origin
+    if effect.verdict != "named":
+        raise Conflict(f"{name} is {effect.verdict}, not named: separate it from its competing effects first")
     if name not in EFFECTS:
         raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
-    if _is_change(effect):
+    if effect.changed is not None:
         raise Conflict(f"{name} changed between two runs: diagnose the latest alone, for the values in force")
     scope = EFFECTS[name].scope
     if scope == "run":
-        raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
+        raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect.remedy}")
     if scope == "rig" and run.rig is None:
         raise Conflict(f"{name} belongs to the stage, and run {run.id} names no rig")
-    parameters = {key: value and value["value"] for key, value in effect["parameters"].items()}
+    parameters = {key: one.value if one else None for key, one in effect.parameters.items()}
     return AcceptedEffect(
         run_id=run.id,
         unit=run.unit if scope == "unit" else None,

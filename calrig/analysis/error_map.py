@@ -16,6 +16,7 @@ from calrig.analysis.solutions import mounted
 from calrig.analysis.stored_runs import ended_run
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.separation import MountedPoses, StageMap
+from calrig.model.solution import ErrorMap
 from calrig.store.records import Run
 
 if TYPE_CHECKING:
@@ -27,21 +28,6 @@ MOST_RUNS = 12
 """The newest; solved in some seconds."""
 LOOKS_BACK = 100
 """Of the rig's newest runs, among which those of units that were clamped otherwise go first."""
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorMap:
-    """What the elevation is more than the dial says, by the dial's angle and approach, with standard errors.
-
-    Empty where it cannot be told yet; `says` has what would help, or what it rests on.
-    """
-
-    stage_deg: list[float]
-    approach: list[int]
-    error_deg: list[float]
-    std_deg: list[float]
-    units: int
-    says: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +88,8 @@ def solved_map(lots: Sequence[MountedPoses], basis: Basis) -> ErrorMap:
 
 
 def _untold(basis: Basis, why: str) -> ErrorMap:
-    return ErrorMap([], [], [], [], basis.units, f"Not known yet: {why}.")
+    says = f"Not known yet: {why}."
+    return ErrorMap(stage_deg=[], approach=[], error_deg=[], std_deg=[], units=basis.units, says=says)
 
 
 def _told(solution: Solution, basis: Basis) -> ErrorMap:
@@ -114,10 +101,10 @@ def _told(solution: Solution, basis: Basis) -> ErrorMap:
     approach = np.repeat(senses, len(stage_map.dial_deg))
     n_runs = "1 run" if len(basis.runs) == 1 else f"the newest {len(basis.runs)} runs"
     return ErrorMap(
-        dial.tolist(),
-        approach.tolist(),
-        stage_map.correction_deg(dial, approach).tolist(),
-        stage_map.stds_deg(dial, approach).tolist(),
-        basis.units,
-        f"Solved together with the units from {n_runs}; its mean over the dial is the clamping's.",
+        stage_deg=dial.tolist(),
+        approach=approach.tolist(),
+        error_deg=stage_map.correction_deg(dial, approach).tolist(),
+        std_deg=stage_map.stds_deg(dial, approach).tolist(),
+        units=basis.units,
+        says=f"Solved together with the units from {n_runs}; its mean over the dial is the clamping's.",
     )

@@ -1,7 +1,4 @@
-"""Poses of a file and what a line through them is: read and fitted without a store, in any process.
-
-What every run begins with, measured or imported: the unit it is of, and where it comes from.
-"""
+"""The import of poses from a file: read and fitted without a store; and the checks of serial numbers."""
 
 from __future__ import annotations
 

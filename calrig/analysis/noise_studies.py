@@ -1,8 +1,6 @@
-"""Noise and filters in a log, as the API answers them: without a store, in any process.
+"""Studies of noise and filters in uploaded logs and stored runs, in any process.
 
-What computes is imported where it is used: the process that only asks needs no scipy for it.
-
-What the stored samples of a run say of the unit's noise, and of the filters.
+Modules that compute are imported where they are used: the process that only asks needs no scipy.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ Answer = dict[str, Any]
 """The report of a log, and its pictures with their captions."""
 
 MOST_SAMPLES = 2_000_000
-"""Of a log; the command line takes a longer one, on the memory of whoever asks."""
+"""Of a log; the command line takes longer ones, on the memory of its own machine."""
 
 
 def study_file(

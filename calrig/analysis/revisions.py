@@ -214,7 +214,7 @@ class Issuer:
         )
 
     def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
-        """Takes a revision back for good.
+        """Withdraw a revision permanently.
 
         Raises:
             Refused: it has been withdrawn already.

@@ -15,9 +15,10 @@ from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, MOUNT_DE
 from calrig.calibration.separation import MapError, MountedPoses, StageMap
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
+from calrig.model.solution import Frame
 from calrig.run_ids import short_name
 from calrig.store.records import Run
-from calrig.store.solved import Basis, Frame, Solved
+from calrig.store.solved import Basis, Solved
 
 if TYPE_CHECKING:
     from calrig.store import Store

@@ -1,9 +1,4 @@
-"""How the unit of a stored run was clamped: what its poses' columns `mount` and `mount_axis` say.
-
-What every analysis begins with: stored runs, those that belong together, and the poses that count.
-
-What a follow-up rests on: runs whose diagnosis left indistinguishable suspects.
-"""
+"""Stored runs as an analysis takes them: their clamping, included poses, and runs that belong together."""
 
 from __future__ import annotations
 

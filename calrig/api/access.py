@@ -1,14 +1,4 @@
-"""Who may speak to the service: the token that is asked for, and the names it is known by.
-
-Who asks: the name, where somebody is known by name, and what they may do.
-
-What a connection's client has shown with its last request: by it places are kept or given away.
-
-The server's side (`calrig.api.connections`) lays a `Place` into each request, the application notes in it
-what it found out.
-
-How often an address may try a code: what is tried wrongly is forgotten a minute later.
-"""
+"""Access to the service: token and host names, callers and roles, trust levels, and attempts at a code."""
 
 from __future__ import annotations
 
@@ -27,7 +17,8 @@ from fastapi import Depends, Request
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
-from calrig.store.users import ROLES, Role, User
+from calrig.model.service import Role
+from calrig.store.users import ROLES, User
 
 if TYPE_CHECKING:
     from calrig.settings import Settings
@@ -48,7 +39,7 @@ class Access:
     """What a service asks of those who speak to it.
 
     Attributes:
-        token: what has to be shown; None where whoever reaches the address may do everything.
+        token: required of clients; None where every client that reaches the address may do everything.
         names: host names, in lower case, that it answers to besides the address a connection came in at.
         patience_s: how late a wrong token is answered.
         proxies: networks of the proxies that say whom they let in.
@@ -132,9 +123,6 @@ def network_of(address: str) -> str | None:
     return str(found) if found.version == 4 else str(ip_network((found, 64), strict=False))
 
 
-# No `from __future__ import annotations`: FastAPI reads the annotations of the dependencies.
-
-
 KEY = "calrig_caller"
 """Where a request's state holds its caller."""
 
@@ -168,7 +156,7 @@ class People:
         self.reread()
 
     def reread(self) -> None:
-        """Looks into the store again; whoever changes users calls this before it answers."""
+        """Read the users from the store again; call this after every change, before answering."""
         with self._turn:
             enabled = [user for user in self._read() if user.disabled_at is None]
             # By digest: how long a look-up takes then says nothing about the tokens that are known.
@@ -220,11 +208,11 @@ async def _name(request: Request) -> str | None:
 
 
 Who = Annotated[str | None, Depends(_name)]
-"""The name of whoever asks, as the trail keeps it; None where nobody is known by name."""
+"""The caller's name, as the audit log keeps it; None where no user is known by name."""
 
 
 def requires(role: Role) -> Any:
-    """A dependency of a path that is not open to everybody: 403 to whoever has a lesser role."""
+    """Return a dependency that answers 403 to callers with a lesser role."""
 
     async def check(request: Request) -> None:
         caller = caller_of(request)

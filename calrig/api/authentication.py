@@ -1,9 +1,4 @@
-"""People who have logged in on the page.
-
-What a proxy in front says of its clients: believed of those that are trusted, dropped of anybody else.
-
-Who may come in: a program by its token, a person by a session begun with one or by a trusted proxy.
-"""
+"""Authentication: a program by its token, a person by a session or by a trusted proxy."""
 
 from __future__ import annotations
 
@@ -154,7 +149,7 @@ class Authentication:
 
     @property
     def asks(self) -> bool:
-        """Whether anybody has to show who they are; without, whoever reaches the service is its admin.
+        """Whether clients must authenticate; if not, every client that reaches the service is its admin.
 
         So it is on loopback until there is a token, a proxy that names people, or an admin among the users,
         who could add the next ones.
@@ -164,8 +159,8 @@ class Authentication:
     async def check(self, asked: HTTPConnection, *, is_open: bool = False) -> None:
         """Lets a request pass; the connection it came by keeps its place from then on, or loses it.
 
-        Each request has to show anew who sends it, since a proxy mixes those of many; until it is looked at,
-        the one before counts.
+        Every request must authenticate, since a proxy mixes those of many clients; until it has been checked,
+        the trust level of the request before applies.
 
         Args:
             asked: the request.

@@ -1,11 +1,9 @@
-"""What the API takes and gives of lists of units.
-
-Lists of units that are calibrated one after the other, as every tab, phone and reload shows them.
-"""
+"""Batches: units that are calibrated one after the other, as every tab, phone and reload shows them."""
 
 from __future__ import annotations
 
 import hashlib
+from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Literal
 
@@ -18,16 +16,14 @@ from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
-from calrig.api.models import Answer, Body
+from calrig.api.models import Body
+from calrig.model.base import Model
 from calrig.model.plan import Plan
 from calrig.model.run import Mount, Progress, Status
 from calrig.runs.batches import Standing, serials_in, word_of
 from calrig.runs.presence import BoardCheck
 from calrig.store import Run
-from calrig.store.batches import Turn
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
+from calrig.store.batches import Batch, Turn
 
 LONGEST_CSV = 200_000
 Serials = Annotated[list[Annotated[str, Field(max_length=1000)]], Field(max_length=10_000)]
@@ -50,7 +46,7 @@ class Table(Body):
     csv: Annotated[str, Field(max_length=LONGEST_CSV)]
 
 
-class SerialsAnswer(Answer):
+class SerialsAnswer(Model):
     """The serials of a CSV as they stand there, and how many of its rows have none."""
 
     units: list[str]
@@ -84,7 +80,7 @@ class StartTurn(Body):
     stage_at_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
 
 
-class TurnAnswer(Answer):
+class TurnAnswer(Model):
     """A unit's turn. `word`: pass or fail by its limits, `done` without any; null before it was measured."""
 
     position: int
@@ -96,7 +92,7 @@ class TurnAnswer(Answer):
     why: str | None
 
 
-class SeenAnswer(Answer):
+class SeenAnswer(Model):
     """What was seen of the unit on a rig while nobody uses it.
 
     `absent`: no board answers; `wrong`: the board says another serial; `askew`: gravity contradicts.
@@ -107,7 +103,7 @@ class SeenAnswer(Answer):
     says: str
 
 
-class BatchRigAnswer(Answer):
+class BatchRigAnswer(Model):
     """A rig of the list. `on` is under way or to be mounted, `next` comes then, `last` ended last.
 
     `seen` tells of the unit that `on` waits for; null while nobody has asked for a look.
@@ -128,13 +124,13 @@ class BatchRigAnswer(Answer):
     nothing_measured: bool = Field(description="By the run that `on` had here after that of `last`.")
 
 
-class LookAnswer(Answer):
+class LookAnswer(Model):
     """The rigs of a list as they stand."""
 
     rigs: list[BatchRigAnswer]
 
 
-class BatchAnswer(Answer):
+class BatchAnswer(Model):
     """A list as it stands."""
 
     id: str
@@ -149,7 +145,7 @@ class BatchAnswer(Answer):
     known: list[str] = Field(description="Of units just added, those that the list had already.")
 
 
-class ListedBatch(Answer):
+class ListedBatch(Model):
     """A list among the others; `takes_units` is false of one that is closed, or of another day."""
 
     id: str
@@ -161,25 +157,14 @@ class ListedBatch(Answer):
     takes_units: bool
 
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 router = APIRouter(tags=["batches"])
 
 
-@router.get("/api/batches", response_model=list[ListedBatch], summary="Lists of units, the newest first")
+@router.get("/api/batches", response_model=list[ListedBatch], summary="Batches, the newest first")
 def list_batches(context: Context) -> object:
     """The last twenty."""
     return [
-        ListedBatch(
-            id=one.id,
-            created_at=one.created_at,
-            closed_at=one.closed_at,
-            rigs=one.document["rigs"],
-            operator=one.document["operator"],
-            note=one.document["note"],
-            takes_units=takes_units,
-        )
+        {**one.document, **_known_by(one), "takes_units": takes_units}
         for one, takes_units in context.batches.listed()
     ]
 
@@ -190,10 +175,10 @@ def list_batches(context: Context) -> object:
     status_code=201,
     response_model=BatchAnswer,
     responses=problems(404, 413, 422),
-    summary="Make a list of units",
+    summary="Create a batch",
 )
 def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
-    """Nothing moves before a person says that a unit is mounted. A unit named twice has one turn."""
+    """Nothing moves until a person confirms that a unit is mounted. A unit named twice is one batch item."""
     rigs = body.rigs or [context.service.known_rig(None).name]
     made = context.batches.make(
         body.serials(),
@@ -211,7 +196,7 @@ def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
     dependencies=[requires("operator")],
     response_model=SerialsAnswer,
     responses=problems(413, 422),
-    summary="The serials of a CSV, to be looked at before a list is made of them",
+    summary="Read the serials of a CSV, before a batch is made of them",
 )
 def read_serials(body: Table) -> object:
     """Keeps nothing. 422 names the line that is wrong."""
@@ -227,7 +212,7 @@ def read_serials(body: Table) -> object:
         304: {"description": "Nothing has changed since the `ETag` of `If-None-Match`."},
         **problems(404),
     },
-    summary="A list as it stands",
+    summary="A batch and its state",
 )
 def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, Header()] = "") -> Response:
     """Asked for again and again by those who watch: 304 while nothing has changed."""
@@ -243,12 +228,12 @@ def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, He
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409, 413, 422),
-    summary="Add units to a list",
+    summary="Add units to a batch",
 )
 def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
-    """At its end; what it has already stays where it is, and is told in `known`, unless it failed for good.
+    """Added at the end. Units of the batch stay where they are and are listed in `known`, unless they failed.
 
-    409 where nothing of the list was measured for hours: it is another day's.
+    409 where no unit of the batch was measured for hours.
     """
     known = context.batches.add(batch_id, body.serials())
     return _answer(context, batch_id, known)
@@ -259,7 +244,7 @@ def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409, 422),
-    summary="Take a unit out of a list",
+    summary="Remove a unit from a batch",
 )
 def remove_unit(batch_id: str, body: NameUnit, context: Context) -> object:
     """One that waits; 409 otherwise."""
@@ -272,7 +257,7 @@ def remove_unit(batch_id: str, body: NameUnit, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409, 422),
-    summary="A unit of a list is mounted: begin its run",
+    summary="Start the run of a mounted unit",
 )
 async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: Heavy, who: Who) -> object:
     """409 where the unit does not wait or the rig is busy: of two who ask at once one is refused.
@@ -293,7 +278,7 @@ async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: He
     dependencies=[requires("operator")],
     response_model=LookAnswer,
     responses=problems(404),
-    summary="Look whether the units asked for are there",
+    summary="Check whether the expected units are present",
 )
 def look(batch_id: str, context: Context) -> object:
     """For six seconds the boards of idle rigs are opened and listened to; nothing moves.
@@ -308,29 +293,29 @@ def look(batch_id: str, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=BatchAnswer,
     responses=problems(404, 409),
-    summary="End a list",
+    summary="Close a batch",
 )
 def close_batch(batch_id: str, context: Context) -> object:
-    """A run under way goes on."""
+    """A run in progress continues."""
     context.batches.close(batch_id)
     return _answer(context, batch_id)
 
 
 def _answer(context: ApiContext, batch_id: str, known: list[str] | None = None) -> BatchAnswer:
     standing = context.batches.standing(batch_id)
-    document = standing.batch.document
-    return BatchAnswer(
-        id=standing.batch.id,
-        created_at=standing.batch.created_at,
-        closed_at=standing.batch.closed_at,
-        plan=document["plan"],
-        operator=document["operator"],
-        note=document["note"],
-        failed=document["failed"],
-        rigs=_rigs(context, standing),
-        units=[_turn(standing, turn) for turn in standing.now.turns if turn.state != "removed"],
-        known=known or [],
+    return BatchAnswer.model_validate(
+        {
+            **standing.batch.document,
+            **_known_by(standing.batch),
+            "rigs": _rigs(context, standing),
+            "units": [_turn(standing, turn) for turn in standing.now.turns if turn.state != "removed"],
+            "known": known or [],
+        }
     )
+
+
+def _known_by(batch: Batch) -> dict[str, object]:
+    return {"id": batch.id, "created_at": batch.created_at, "closed_at": batch.closed_at}
 
 
 def _rigs(context: ApiContext, standing: Standing) -> list[BatchRigAnswer]:
@@ -370,8 +355,7 @@ def _rig(
 def _seen(standing: Standing, seen: BoardCheck | None, on: Turn | None) -> SeenAnswer | None:
     if seen is None or on is None or on.state == "running":
         return None
-    told = seen.sighting(standing.mount).of_unit(on.unit)
-    return SeenAnswer(state=told.state, serial=told.serial, says=told.says)
+    return SeenAnswer.model_validate(seen.sighting(standing.mount).of_unit(on.unit))
 
 
 def _last(standing: Standing, rig: str) -> Turn | None:
@@ -395,15 +379,9 @@ def _finished(standing: Standing, turn: Turn) -> datetime | None:
 def _turn(standing: Standing, turn: Turn) -> TurnAnswer:
     run: Run | None = standing.runs.get(turn.run_id or "")
     ended = turn.state in ("done", "failed") and run is not None
-    return TurnAnswer(
-        position=turn.position,
-        unit=turn.unit,
-        state=turn.state,
-        rig=turn.rig,
-        run_id=turn.run_id,
-        word=word_of(run) if ended and run is not None else None,
-        why=turn.why or (_failing(run) if turn.state == "failed" and run is not None else None),
-    )
+    word = word_of(run) if ended and run is not None else None
+    why = turn.why or (_failing(run) if turn.state == "failed" and run is not None else None)
+    return TurnAnswer.model_validate({**asdict(turn), "word": word, "why": why})
 
 
 def _failing(run: Run) -> str | None:

@@ -1,17 +1,13 @@
-"""Benches of a centre, as an admin keeps them; and how an agent joins by its one-time code.
+"""Benches of a centre: added and revoked by an admin, enrolled by a one-time code; and a bench's own page.
 
-A bench's own page: it shows everything, starts and stops runs, and leaves the rest to the centre.
-
-What is changed in a bench's spool beside its runs would never reach the centre, which alone amends runs,
-issues calibrations and knows people.
+That page shows everything and starts and stops runs. Only the centre amends runs, issues calibrations and
+knows users: such a change in a bench's spool would never reach it.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 import logging
 import re
-from dataclasses import asdict
-from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Request
@@ -24,13 +20,12 @@ from calrig.api.access import CLOSE, Who, address_of, is_loopback, requires
 from calrig.api.body_limits import ENROLL_PATH, LOGIN_BYTES
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Body
+from calrig.api.models import Body
 from calrig.api.origin_check import HARMLESS
+from calrig.model.base import Model
+from calrig.model.service import Membership
 from calrig.store.bench_tables import BENCH_NAME
 from calrig.store.enrolment import WrongCode
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 
 router = APIRouter(tags=["benches"])
 log = logging.getLogger(__name__)
@@ -43,20 +38,7 @@ class NewBench(Body):
     hall: Annotated[str, Field(min_length=1, max_length=64)] | None = None
 
 
-class BenchAnswer(Answer):
-    """A bench that may join, has joined or has left."""
-
-    name: str
-    hall: str | None
-    code_until: datetime | None = Field(
-        description="Until when a code waits to be used; null where none does."
-    )
-    enrolled_at: datetime | None
-    revoked_at: datetime | None
-    last_seen_at: datetime | None
-
-
-class BenchWithCode(BenchAnswer):
+class BenchWithCode(Membership):
     """The same, and the code, which is told here and never again."""
 
     code: str
@@ -68,17 +50,17 @@ class Code(Body):
     code: Annotated[str, Field(max_length=200)]
 
 
-class Joined(Answer):
+class Joined(Model):
     """The bench that joined, and the database's URL with its password, told here and never again."""
 
     bench: str
     db: str
 
 
-@router.get("/api/benches", response_model=list[BenchAnswer], summary="Every bench, by name")
+@router.get("/api/benches", response_model=list[Membership], summary="Every bench, by name")
 def list_benches(context: Context) -> object:
     """Those that were revoked as well. What their rigs do is at `/api/rigs`."""
-    return [asdict(bench) for bench in context.store.enrolment.benches()]
+    return context.store.enrolment.benches()
 
 
 @router.post(
@@ -95,7 +77,7 @@ def add_bench(body: NewBench, context: Context, who: Who) -> object:
     Who was revoked, or has not joined yet, gets another one.
     """
     bench, code = context.store.enrolment.add(body.name, body.hall, who=who)
-    return {**asdict(bench), "code": code}
+    return BenchWithCode(**bench.model_dump(), code=code)
 
 
 @router.post(
@@ -105,7 +87,7 @@ def add_bench(body: NewBench, context: Context, who: Who) -> object:
     summary="Join as a bench",
 )
 def enroll(body: Code, request: Request, context: Context) -> Joined:
-    """Open to whoever has a code. A wrong one is 403, and after five within a minute 429."""
+    """Open to every client with a code. A wrong code gets 403, after five within a minute 429."""
     attempt = context.enrolling.begin(request)
     address = address_of(request)
     try:
@@ -125,14 +107,14 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
 
 @router.delete(
     "/api/benches/{name}",
-    response_model=BenchAnswer,
+    response_model=Membership,
     responses=problems(404),
     dependencies=[requires("admin")],
-    summary="Let a bench in no more",
+    summary="Revoke a bench",
 )
 def revoke_bench(name: str, context: Context, who: Who) -> object:
-    """Its role can log in no more and its connections end; what it measured stays."""
-    return asdict(context.store.enrolment.revoke(name, who=who))
+    """Blocks the bench's login and closes its connections; data it has measured is kept."""
+    return context.store.enrolment.revoke(name, who=who)
 
 
 OF_THE_BENCH = re.compile(

@@ -18,8 +18,9 @@ from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
-from calrig.api.models import Answer, Body, Reason, ReasonIfAny
+from calrig.api.models import Body, Reason, ReasonIfAny
 from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
+from calrig.model.base import Model
 from calrig.model.calibration import Calibration, IssuedAct, Revision
 from calrig.store.issued import Revision as StoredRevision
 
@@ -60,7 +61,7 @@ class NewDraft(Body):
         return self
 
 
-class FormatAnswer(Answer):
+class FormatAnswer(Model):
     """A format of another program that a calibration, or a unit's noise, is written in."""
 
     name: str
@@ -160,10 +161,10 @@ def release(
     dependencies=[requires("releaser")],
     response_model=Revision,
     responses=problems(404, 409, 413, 422),
-    summary="Take a revision back for good",
+    summary="Withdraw a revision permanently",
 )
 def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
-    """Where it was in force, none is afterwards."""
+    """If it was in force, the unit has no calibration in force afterwards."""
     withdrawn = context.issuer.withdraw(unit.serial, revision, by=who, reason=body.reason)
     return context.issuer.listed([withdrawn])[0]
 

@@ -24,7 +24,7 @@ router = APIRouter(tags=["units"])
     summary="What changed from run to run",
 )
 def show_changes(serial: str, context: Context) -> object:
-    """From each calibration that counts to the next, the oldest first.
+    """From each valid calibration to the next, the oldest first.
 
     `effects` are those of the stored diagnosis of both runs together; where there is none,
     `POST /api/runs/{to}/diagnosis` with `{"runs": [from]}` makes one.
@@ -39,10 +39,10 @@ Units = Annotated[
 
 @router.get("/api/compare", response_model=Comparison, responses=problems(404), summary="Units side by side")
 def compare(context: Context, unit: Units = None) -> Response:
-    """Calibrations that count only; `spread` sets units apart from repeatability.
+    """Valid calibrations only; `spread` compares the differences between units with the repeatability.
 
-    Units that changed by more than repeatability come first, the most significant before the others; whether
-    they did is held against all units of the store, whichever are asked for: of very many runs, the latest.
+    Units that changed by more than repeatability come first, in the order of significance. The test uses all
+    units of the store, whichever are requested, and of very many runs the latest.
     """
     found = histories(context.store, unit)
     due = context.due_dates(found, unit)

@@ -10,7 +10,7 @@ from fastapi import Depends, FastAPI, Request
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Acceptance, Diagnoses
 from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
-from calrig.analysis.error_map import Basis, ErrorMap
+from calrig.analysis.error_map import Basis
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
 from calrig.analysis.revisions import Issuer
@@ -18,6 +18,7 @@ from calrig.api.access import Attempts
 from calrig.api.job import Jobs
 from calrig.api.streams import ReadCache, Streams
 from calrig.laboratory import LaboratorySettings
+from calrig.model.solution import ErrorMap
 from calrig.processes.pool import Processes
 from calrig.runs.batches import RunBatches
 from calrig.runs.services import Service

@@ -14,10 +14,11 @@ from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, Heavy, Wait
-from calrig.api.models import Answer, Body, RunAnswer
+from calrig.api.models import Body, RunAnswer
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.regression import ORIGINS, Effect, Origin, Scope
+from calrig.model.base import Model
 from calrig.model.diagnosis import Diagnosis
 from calrig.store import Run
 
@@ -57,7 +58,7 @@ async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy
     cross-validation.
     """
 
-    async def work(job: Job) -> dict[str, Any]:
+    async def work(job: Job) -> object:
         question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
         try:
             found = await job.run(question, tells_progress=True)
@@ -74,7 +75,7 @@ async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy
     responses=problems(404),
     summary="The last diagnosis of a run",
 )
-def last_diagnosis(run: KnownRun, context: Context) -> dict[str, Any]:
+def last_diagnosis(run: KnownRun, context: Context) -> object:
     """404 before the first."""
     return context.diagnoses.last(run.id)
 
@@ -125,7 +126,7 @@ async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who, wai
     return await heavy.answer(work, wait=wait, kept_at=lambda begun: f"/api/runs/{begun.id}")
 
 
-class EffectParameter(Answer):
+class EffectParameter(Model):
     """A parameter; `unit` is null where it is the covariate's own, `flag` where it is 1 or absent."""
 
     name: str
@@ -134,7 +135,7 @@ class EffectParameter(Answer):
     flag: bool
 
 
-class CatalogueEffect(Answer):
+class CatalogueEffect(Model):
     """An effect of the catalogue: CONTRACT section 5, in words."""
 
     name: str

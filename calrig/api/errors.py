@@ -54,12 +54,16 @@ WORDS = {
 }
 
 
-def problems(*codes: int) -> dict[int | str, dict[str, Any]]:
+Responses = dict[int | str, dict[str, Any]]
+"""Of a path, by status, as FastAPI takes them."""
+
+
+def problems(*codes: int) -> Responses:
     """The error answers of a path, for the OpenAPI document."""
     return {code: {"model": Problem, "description": WORDS[code]} for code in codes}
 
 
-def problems_in_json(*codes: int) -> dict[int | str, dict[str, Any]]:
+def problems_in_json(*codes: int) -> Responses:
     """The same for a path whose own answers are not JSON: a model would be said to be of their type."""
     content = {"application/json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
     return {code: {"content": content, "description": WORDS[code]} for code in codes}

@@ -1,7 +1,7 @@
 """The page's pictures in plotly's JSON form, drawn by `calrig.figures`."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query
 
@@ -16,6 +16,7 @@ from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems
 from calrig.model.noise import Figure
 from calrig.store import Run
+from calrig.store.records import Document
 
 BATCH = 5000
 """Events read at once."""
@@ -37,7 +38,7 @@ def run_figure(run: KnownRun, name: RunFigure, context: Context) -> figures.Figu
     """What was measured, or what its last diagnosis (404 before) has found.
 
     `timeline`: stage and reading against time; `residual`: of each pose against elevation; `diagnosis`: the
-    error before and after; `effect-0`, …: what is left for its first effect, against the covariate.
+    error before and after; `effect-0`, …: the partial residual of its first effect, against the covariate.
     """
     if name == "timeline":
         return _timeline(context, run)
@@ -66,7 +67,7 @@ def _timeline(context: ApiContext, run: Run) -> figures.Figure:
     return figures.timeline(*([row[place] for row in rows] for place in range(3)))
 
 
-def _readings(context: ApiContext, run_id: str) -> Iterator[dict[str, Any]]:
+def _readings(context: ApiContext, run_id: str) -> Iterator[Document]:
     seen = 0
     while events := context.store.events.after(run_id, seen, BATCH):
         yield from (event.data for event in events if event.type == "reading")

@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def in_process(service: Service, parts: tuple[ModuleType, ...]) -> Iterator[httpx.BaseTransport]:
-    """What carries a client's requests to the API over a service; whoever asks is its admin.
+    """Yield a transport that passes a client's requests, as an admin's, to the API over a service.
 
     Args:
         service: carries out what is asked; it is not closed here.

@@ -21,7 +21,7 @@ State = Literal["queued", "running", "done", "failed", "cancelled"]
 MOST_FINISHED = 100
 """Jobs whose end is remembered; the oldest are forgotten first."""
 MOST_BYTES = 30_000_000
-"""Of all results that are kept nowhere but here, likewise."""
+"""Of all results that are kept only here; the oldest are forgotten first."""
 ID_BYTES = 12
 """Random: an id of another service's life, or of another service, is nobody's here."""
 
@@ -61,7 +61,7 @@ class Job:
         self.task: asyncio.Task[None] = asyncio.create_task(self._carry_out(work))
 
     async def run(self, function: Callable[..., T], *, tells_progress: bool = False) -> T:
-        """As `Processes.run`; from here on whoever asked may leave."""
+        """As `Processes.run`; from here on the client may leave."""
         self.asked.set()
         self.fraction = 0.0 if tells_progress else None
         told = self._told if tells_progress else None

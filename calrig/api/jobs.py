@@ -1,10 +1,6 @@
-"""Long work that nobody waits for: how far it is, what came of it, and its end on request.
+"""Background work of requests: run in another process, reported as a job, cancelled on request.
 
-Heavy work of a request: carried out in another process, and given up when the client leaves.
-
-Who does not want to wait is told by which name it goes on (`calrig.api.jobs`).
-
-Answers to what has a thread of its own, waited for in the event loop: no other request is in the way.
+The work is given up when the client leaves. A client that does not wait gets the id of the job.
 """
 
 from __future__ import annotations
@@ -20,13 +16,10 @@ from starlette.exceptions import HTTPException
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.api.access import requires
 from calrig.api.context import Context, context_of
-from calrig.api.errors import CLIENT_LEFT, problems
+from calrig.api.errors import CLIENT_LEFT, Responses, problems
 from calrig.api.job import Job
 from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
-
-# No `from __future__ import annotations`: FastAPI reads the annotations of the dependency.
-
 
 router = APIRouter(tags=["jobs"])
 
@@ -35,8 +28,8 @@ async def _known_job(job_id: str, context: Context) -> Job:
     job = context.jobs.get(job_id)
     if job is None:
         raise Unknown(
-            f"there is no job {job_id!r}: it ended long ago, or the service was started anew since: look "
-            "whether the run has what was asked for, else ask again"
+            f"unknown job {job_id!r}: its record has expired, or the service was restarted. Check "
+            "whether the run has the result; if not, repeat the request"
         )
     return job
 
@@ -82,14 +75,11 @@ async def show_result(job: KnownJob) -> Response:
     return Response(job.content, media_type="application/json")
 
 
-# No `from __future__ import annotations`: FastAPI reads the annotations of the dependency.
-
-
 T = TypeVar("T")
 
 AT_ONCE_S = 2.0
 """What is done by then is answered as if it had been waited for."""
-ACCEPTED: dict[int | str, dict[str, Any]] = {
+ACCEPTED: Responses = {
     202: {"model": JobState, "description": "With `wait=false`, after two seconds: `GET /api/jobs/{id}`"}
 }
 Wait = Annotated[
@@ -182,7 +172,7 @@ MOST_S = 10.0
 
 
 async def answer_of(errand: SharedTask[T], stage: str) -> T:
-    """What comes of a stop, which goes on whoever still waits for it.
+    """Return the outcome of a stop, which continues even if the client stops waiting.
 
     Raises:
         Conflict: not in time.

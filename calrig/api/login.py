@@ -9,8 +9,9 @@ from calrig.api.access import Caller, caller_of
 from calrig.api.authentication import Authentication
 from calrig.api.body_limits import LOGIN_BYTES, LOGIN_PATH
 from calrig.api.errors import problems
-from calrig.api.models import Answer, Body
-from calrig.store.users import Role
+from calrig.api.models import Body
+from calrig.model.base import Model
+from calrig.model.service import Role
 
 router = APIRouter(tags=["access"])
 
@@ -21,8 +22,8 @@ class Login(Body):
     token: Annotated[str, Field(max_length=1000)]
 
 
-class LoginAnswer(Answer):
-    """Whether to show who one is, whether whoever asks has, and who they are then."""
+class LoginAnswer(Model):
+    """Whether a login is needed, whether the caller is logged in, and as which user."""
 
     needed: bool
     logged_in: bool

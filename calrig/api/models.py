@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from calrig.model.base import Model
 from calrig.model.plan import Plan
 from calrig.model.run import Run
 from calrig.model.verdict import Verdict
@@ -24,12 +25,6 @@ class Body(BaseModel):
         if isinstance(value, str) and "\0" in value:
             raise ValueError("has a NUL character in it, which is no text")
         return value
-
-
-class Answer(BaseModel):
-    """What a client gets: every field is there, null where it is not known."""
-
-    model_config = ConfigDict(extra="forbid", from_attributes=True)
 
 
 StageAt = Annotated[
@@ -71,13 +66,13 @@ class ReasonIfAny(Body):
     reason: str | None = None
 
 
-class Problem(Answer):
+class Problem(Model):
     """Every error; the header `Calrig-Fields` names places in the body: `plan.elevations_deg[1]`."""
 
     detail: str
 
 
-class Health(Answer):
+class Health(Model):
     """The service answers."""
 
     status: Literal["ok"]
@@ -91,7 +86,7 @@ class RunAnswer(Run):
     verdict: Verdict | None
 
 
-class RunList(Answer):
+class RunList(Model):
     """One page of runs, newest first; `next_cursor` asks for the next one and is null on the last."""
 
     items: list[RunAnswer]
@@ -131,7 +126,7 @@ class PoseAnswer(BaseModel):
     residual_deg: float | None = Field(description="What the run's bias and scale leave of it.")
 
 
-class UnitAnswer(Answer):
+class UnitAnswer(Model):
     """A sensor, how often it was on a rig and when last."""
 
     serial: str

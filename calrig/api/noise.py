@@ -25,7 +25,7 @@ from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, BackgroundWork, Heavy, Wait
-from calrig.api.models import Answer
+from calrig.model.base import Model
 from calrig.model.noise import FiltersStudy, NoiseStudy
 from calrig.store import Run
 from calrig.store.fleet import StudyKind
@@ -43,7 +43,7 @@ async def _keeper(request: Request) -> Caller | None:
 
 
 Keeper = Annotated[Caller | None, Depends(_keeper)]
-"""Who asks, if what they find is kept; None of whoever may only look."""
+"""The caller, if their studies are stored; None for callers who may only read."""
 
 
 @router.get(
@@ -69,6 +69,18 @@ async def run_filters(run: KnownRun, context: Context, heavy: Heavy, wait: Wait 
     return await _of_run("filters", run, context, heavy, wait)
 
 
+class Log:
+    """An uploaded log, and how it was recorded."""
+
+    def __init__(
+        self, file: LogFile, rate_hz: Rate = None, accel_range_g: Range = None, gyro_range_dps: Range = None
+    ) -> None:
+        self.file, self.recorded = file, (rate_hz, accel_range_g, gyro_range_dps)
+
+
+UploadedLog = Annotated[Log, Depends()]
+
+
 @router.post(
     "/api/noise",
     max_body_size=LOG_BYTES,
@@ -77,18 +89,10 @@ async def run_filters(run: KnownRun, context: Context, heavy: Heavy, wait: Wait 
     summary="The noise in a log from anybody's sensor",
 )
 async def log_noise(
-    heavy: Heavy,
-    context: Context,
-    keeper: Keeper,
-    file: LogFile,
-    rate_hz: Rate = None,
-    accel_range_g: Range = None,
-    gyro_range_dps: Range = None,
-    wait: Wait = True,
+    heavy: Heavy, context: Context, keeper: Keeper, log: UploadedLog, wait: Wait = True
 ) -> Any:
-    """The sensor was at rest. What an operator finds is kept (`GET /api/log-studies`), the log is not."""
-    given = (rate_hz, accel_range_g, gyro_range_dps)
-    return await _of_file("noise", file, heavy, context, keeper, wait, *given)
+    """The sensor was at rest. The study of an operator is stored (`GET /api/log-studies`), the log is not."""
+    return await _of_file("noise", log, heavy, context, keeper, wait)
 
 
 @router.post(
@@ -99,23 +103,14 @@ async def log_noise(
     summary="The filters side by side on a log from anybody's sensor",
 )
 async def log_filters(
-    heavy: Heavy,
-    context: Context,
-    keeper: Keeper,
-    file: LogFile,
-    rate_hz: Rate = None,
-    accel_range_g: Range = None,
-    gyro_range_dps: Range = None,
-    wait: Wait = True,
+    heavy: Heavy, context: Context, keeper: Keeper, log: UploadedLog, wait: Wait = True
 ) -> Any:
-    """The sensor was at rest and was turned about its x axis. What an operator finds is kept."""
-    return await _of_file(
-        "filters", file, heavy, context, keeper, wait, rate_hz, accel_range_g, gyro_range_dps
-    )
+    """The sensor was at rest and was rotated about its x axis. The study of an operator is stored."""
+    return await _of_file("filters", log, heavy, context, keeper, wait)
 
 
 async def _of_run(study: Study, run: Run, context: ApiContext, heavy: BackgroundWork, wait: bool) -> Any:
-    async def work(job: Job) -> dict[str, Any]:
+    async def work(job: Job) -> object:
         async with on_disk(partial(lay_samples, context.store, run.id)) as path:
             try:
                 return await job.run(partial(study_samples, study, path, NAMES, gyro_scale_of(run)))
@@ -126,23 +121,15 @@ async def _of_run(study: Study, run: Run, context: ApiContext, heavy: Background
 
 
 async def _of_file(
-    study: Study,
-    file: UploadFile,
-    heavy: BackgroundWork,
-    context: ApiContext,
-    keeper: Caller | None,
-    wait: bool,
-    rate_hz: float | None,
-    accel_range_g: float | None,
-    gyro_range_dps: float | None,
+    study: Study, log: Log, heavy: BackgroundWork, context: ApiContext, keeper: Caller | None, wait: bool
 ) -> Any:
+    name, (rate_hz, accel_range_g, gyro_range_dps) = name_of(log.file), log.recorded
     question = partial(
         study_file, study, rate_hz=rate_hz, accel_range_g=accel_range_g, gyro_range_dps=gyro_range_dps
     )
-    name = name_of(file)
 
-    async def work(job: Job) -> dict[str, Any]:
-        async with on_disk(copied(file)) as path:
+    async def work(job: Job) -> object:
+        async with on_disk(copied(log.file)) as path:
             try:
                 found = await job.run(partial(question, path), tells_progress=True)
             except ValueError as error:
@@ -155,7 +142,7 @@ async def _of_file(
     return await heavy.answer(work, wait=wait)
 
 
-class StudyAnswer(Answer):
+class StudyAnswer(Model):
     """A study of a file that somebody brought."""
 
     id: str
@@ -165,7 +152,7 @@ class StudyAnswer(Answer):
     file_name: str
 
 
-class KeptStudy(Answer):
+class KeptStudy(Model):
     """One with what was found: `noise` or `filters`, the other is null."""
 
     study: StudyAnswer

@@ -1,4 +1,4 @@
-"""The OpenAPI document that is kept with the source; `python -m calrig.api.openapi` writes it anew."""
+"""The OpenAPI document that is kept with the source; `python -m calrig.api.openapi` regenerates it."""
 
 from __future__ import annotations
 

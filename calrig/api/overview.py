@@ -13,8 +13,8 @@ from fastapi.responses import Response
 from pydantic import Field, TypeAdapter
 
 from calrig.api.context import ApiContext, Context
-from calrig.api.models import Answer
 from calrig.centre.bench_rigs import overview
+from calrig.model.base import Model
 from calrig.model.run import Mount, Progress, Status
 
 FRESH_S = 1.0
@@ -25,7 +25,7 @@ DUE_FRESH_S = 60.0
 router = APIRouter(tags=["benches"])
 
 
-class BriefRunAnswer(Answer):
+class BriefRunAnswer(Model):
     """A run as far as a list of rigs shows it."""
 
     id: str
@@ -39,7 +39,7 @@ class BriefRunAnswer(Answer):
     error: str | None
 
 
-class NextCheckAnswer(Answer):
+class NextCheckAnswer(Model):
     """When the rig's check unit is to be put on it again."""
 
     unit: str
@@ -47,7 +47,7 @@ class NextCheckAnswer(Answer):
     overdue: bool
 
 
-class RigAtAGlance(Answer):
+class RigAtAGlance(Model):
     """A rig as `GET /api/rigs` has it, and what is to be known of it beside.
 
     `state` and `run_id` are those last known where it is `offline`. `unresolved` is the run made last, where
@@ -66,14 +66,14 @@ class RigAtAGlance(Answer):
     check: NextCheckAnswer | None
 
 
-class UndeliveredAnswer(Answer):
+class UndeliveredAnswer(Model):
     """What a bench has measured and not delivered, as it last said: pieces, and since when."""
 
     parcels: int
     oldest_at: datetime | None
 
 
-class BenchAtAGlance(Answer):
+class BenchAtAGlance(Model):
     """A bench and its rigs; this machine where there is no name.
 
     `silent_since` is when it last said something, once that is more than ten seconds ago. `silent_for_s` is
@@ -89,7 +89,7 @@ class BenchAtAGlance(Answer):
     rigs: list[RigAtAGlance]
 
 
-class OverdueAnswer(Answer):
+class OverdueAnswer(Model):
     """A unit that is due to be calibrated."""
 
     unit: str

@@ -1,4 +1,4 @@
-"""What a plan comes to on a rig, so that whoever writes one need not compute it."""
+"""Plans: the estimate of a plan on a rig, and the design of a plan."""
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
@@ -44,7 +44,7 @@ class PlanOnRig(Body):
     "/api/plans/estimate",
     response_model=Estimate,
     responses=problems(404, 413, 422),
-    summary="What a plan comes to",
+    summary="Estimate a plan on a rig",
 )
 def estimate_plan(body: PlanOnRig, context: Context) -> Estimate:
     """Nothing moves. 422 says why a run of this plan would be refused.
@@ -97,7 +97,7 @@ async def design_plan(body: WantedPlan, context: Context, heavy: Heavy, wait: Wa
     It is given up where its client leaves; 429 where much is waiting already.
     """
 
-    async def work(job: Job) -> dict[str, Any]:
+    async def work(job: Job) -> object:
         asked = await run_in_threadpool(_question, body, context)
         found = await job.run(partial(answer, asked), tells_progress=True)
         return found.document()

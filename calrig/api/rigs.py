@@ -1,9 +1,4 @@
-"""The rig's error map, solved in another process and kept while the runs that it rests on are the same.
-
-The stage's map that a rig's elevations rest on.
-
-The unit that a rig is checked by.
-"""
+"""Rigs: the mean error map, the stage map in force, and the check standard."""
 
 from __future__ import annotations
 
@@ -17,35 +12,23 @@ from starlette.concurrency import run_in_threadpool
 
 from calrig import figures
 from calrig.analysis.check_standard import check_document
-from calrig.analysis.error_map import ErrorMap, basis_of, poses_by_mounting, solved_map
+from calrig.analysis.error_map import basis_of, poses_by_mounting, solved_map
 from calrig.analysis.stage_maps import listed_maps, put_in_force, shown_map
 from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
 from calrig.api.jobs import BackgroundWork, Heavy
-from calrig.api.models import Answer, Body
+from calrig.api.models import Body
+from calrig.model.base import Model
 from calrig.model.noise import Figure
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
+from calrig.model.solution import ErrorMap
 
 router = APIRouter(tags=["rigs"])
 
 
-class ErrorMapAnswer(Answer):
-    """What the elevation is more than the dial says, by its angle and approach, from so many units."""
-
-    stage_deg: list[float]
-    approach: list[int]
-    error_deg: list[float]
-    std_deg: list[float]
-    units: int
-    says: str
-
-
 @router.get(
     "/api/rigs/{name}/error-map",
-    response_model=ErrorMapAnswer,
+    response_model=ErrorMap,
     responses=problems(404, 429),
     summary="The rig error map",
 )
@@ -81,9 +64,6 @@ async def _map_of(name: str, context: ApiContext, heavy: BackgroundWork) -> Erro
     return found
 
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 class PutMap(Body):
     """The solution whose map it is to be; null withdraws the one in force."""
 
@@ -91,7 +71,7 @@ class PutMap(Body):
     reason: str = Field("withdrawn", max_length=1000, description="Of a withdrawal.")
 
 
-class MapColumns(Answer):
+class MapColumns(Model):
     """The map over the dial, its mean taken off, in the middle of the play."""
 
     stage_deg: list[float]
@@ -99,7 +79,7 @@ class MapColumns(Answer):
     std_deg: list[float]
 
 
-class HoldsAnswer(Answer):
+class HoldsAnswer(Model):
     """Whether the stage still has this map, by the newest run that can tell."""
 
     state: Literal["holds", "moved", "not_known"]
@@ -113,7 +93,7 @@ class HoldsAnswer(Answer):
     at_deg: list[float] = Field(description="Angles of the dial where it is off.")
 
 
-class StageMapAnswer(Answer):
+class StageMapAnswer(Model):
     """The map in force for a rig, what it is worth, and what it rests on."""
 
     rig: str
@@ -135,7 +115,7 @@ class StageMapAnswer(Answer):
     says: str
 
 
-class NamedMap(Answer):
+class NamedMap(Model):
     """Which map is in force for a rig: of a solution, or of a file."""
 
     rig: str
@@ -186,9 +166,6 @@ def put_map(name: str, body: PutMap, context: Context, who: Who) -> object:
     return shown_map(context.store, rig, context.service.maps)
 
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 class NameCheckUnit(Body):
     """The unit, and how often it is to be put on the rig."""
 
@@ -196,7 +173,7 @@ class NameCheckUnit(Body):
     interval_days: Annotated[float, Field(gt=0, le=36_500)] = 30.0
 
 
-class CheckAnswer(Answer):
+class CheckAnswer(Model):
     """A run of the check unit; before it was named one, its history (`is_check` false).
 
     `average` is the moving average of bias or scale, whichever is farther off, in standard deviations.
@@ -211,7 +188,7 @@ class CheckAnswer(Answer):
     verdict: Literal["passed", "failed", "not_known"]
 
 
-class CheckUnitAnswer(Answer):
+class CheckUnitAnswer(Model):
     """How a rig stands by its check unit, and the runs that a failure puts in doubt."""
 
     rig: str
@@ -228,7 +205,7 @@ class CheckUnitAnswer(Answer):
     suspect_runs: list[str]
 
 
-class NamedCheckUnit(Answer):
+class NamedCheckUnit(Model):
     """Which unit a rig is checked by, and how often."""
 
     rig: str
@@ -267,7 +244,7 @@ def show_check_unit(name: str, context: Context) -> object:
     summary="Name the unit that a rig is checked by",
 )
 def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -> object:
-    """Its runs on the rig from now on are checks; those before are what the first is held against."""
+    """Its runs on the rig from now on are checks; its earlier runs are the baseline for the first check."""
     context.service.known_rig(name)
     context.store.check_standards.name(name, body.unit, body.interval_days, who=who)
     return check_document(context.store, name)

@@ -1,13 +1,9 @@
-"""Health, rigs, and runs: starting them, looking at them, asking something of them.
-
-What is done to runs after they were measured: voiding, noting, moving, leaving poses out, and back.
-
-Turning the unit in a rig's own clamp, where it has one.
-"""
+"""Runs: started, listed, controlled and amended; with health, rigs, the port scan and the clamp."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Annotated
@@ -24,7 +20,6 @@ from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.jobs import answer_of
 from calrig.api.models import (
-    Answer,
     Body,
     Health,
     Reason,
@@ -37,17 +32,15 @@ from calrig.api.models import (
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Kind, stanza
+from calrig.model.base import Model
 from calrig.model.plan import ElevationDeg, MountAxis
 from calrig.model.run import Status
-from calrig.model.service import RigState
+from calrig.model.service import RigState, Role
 from calrig.run_ids import FEWEST
 from calrig.store import Run
 from calrig.store.convert import iso_utc
 from calrig.store.runs import RunKind, Sought
 from calrig.store.verdicts import Judged
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 
 router = APIRouter(tags=["runs"])
 BACK_TO = "Calrig-Back-To"
@@ -60,7 +53,7 @@ Since = Annotated[str | None, Query(alias="from", description=f"The first. {_DAT
 Until = Annotated[str | None, Query(alias="to", description=f"A time is excluded, a day included. {_DATES}")]
 
 
-class FoundAnswer(Answer):
+class FoundAnswer(Model):
     """A port and who answers there; `busy` and `no permission` are ports that did not open."""
 
     port: str
@@ -74,7 +67,7 @@ class FoundAnswer(Answer):
     description: str
 
 
-class ScanAnswer(Answer):
+class ScanAnswer(Model):
     """Every port there is, by name."""
 
     found: list[FoundAnswer]
@@ -100,10 +93,9 @@ def rigs(context: Context) -> object:
     summary="Look who answers on which port",
 )
 async def scan(context: Context) -> object:
-    """Moves nothing, but resets most boards; ports of this service's rigs and those in use are left alone.
+    """Moves nothing, but resets most boards; ports of this service's rigs and ports in use are left alone.
 
-    It takes some seven seconds. Who asks meanwhile shares the answer: two at once would find each port in
-    use by the other.
+    It takes about seven seconds. Concurrent requests share one scan: two scans would find each port in use.
     """
     looking = context.scans.share("scan", WALL, partial(ports.scan, ours=context.service.ports()))
     found = await asyncio.shield(asyncio.wrap_future(looking.future))
@@ -117,10 +109,10 @@ async def scan(context: Context) -> object:
     summary="Stop a rig's stage now",
 )
 async def stop(name: str, context: Context) -> object:
-    """Whatever runs on it is aborted; a stage that stands by itself is told as well.
+    """A run on the rig is aborted; a stage at rest gets the stop command as well.
 
-    200 once the stage was seen to stand, twice at one angle; else 409 within ten seconds, within two where
-    its port does not open.
+    200 once two consecutive reports show the stage at rest at the same angle; else 409 within ten seconds,
+    within two where its port does not open.
     """
     return await answer_of(context.service.begin_stop(name), f"the stage of rig {name!r}")
 
@@ -225,25 +217,26 @@ async def abort_run(run_id: str, context: Context) -> Run:
     return await answer_of(errand, f"the stage of run {run_id}")
 
 
-@router.post(
-    "/api/runs/{run_id}/pause",
-    dependencies=[requires("operator")],
-    response_model=RunAnswer,
-    responses=problems(404, 409),
-    summary="Finish the pose in hand and hold",
-)
+def acts_on_run(
+    path: str, role: Role, summary: str, *problem_codes: int
+) -> Callable[[Callable[..., Run]], Callable[..., Run]]:
+    """Return the decorator of a path that does something to the run it names and answers with the run."""
+    return router.post(
+        f"/api/runs/{{run_id}}/{path}",
+        dependencies=[requires(role)],
+        response_model=RunAnswer,
+        responses=problems(*(problem_codes or (404, 409, 413, 422))),
+        summary=summary,
+    )
+
+
+@acts_on_run("pause", "operator", "Finish the pose in hand and hold", 404, 409)
 def pause_run(run: KnownRun, context: Context) -> Run:
     """The run is `paused` once the pose is done."""
     return context.service.pause(run.id)
 
 
-@router.post(
-    "/api/runs/{run_id}/resume",
-    dependencies=[requires("operator")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 422),
-    summary="Go on with a paused or interrupted run",
-)
+@acts_on_run("resume", "operator", "Go on with a paused or interrupted run", 404, 409, 422)
 def resume_run(run: KnownRun, context: Context, body: ResumeRun | None = None) -> Run:
     """Takes a pause that has not begun yet back, too. An interrupted run is `queued` again.
 
@@ -251,9 +244,6 @@ def resume_run(run: KnownRun, context: Context, body: ResumeRun | None = None) -
     touched, or gravity contradicts `stage_at_deg`, it becomes `interrupted` again with the reason in `error`.
     """
     return context.service.resume(run.id, None if body is None else body.stage_at_deg)
-
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 
 PoseIndex = Annotated[int, Path(ge=0, lt=2**31)]
@@ -272,49 +262,25 @@ class RightUnit(Body):
     reason: str
 
 
-@router.post(
-    "/api/runs/{run_id}/void",
-    dependencies=[requires("releaser")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Keep a run, out of every comparison",
-)
+@acts_on_run("void", "releaser", "Keep a run, out of every comparison")
 def void_run(run: KnownRun, body: Reason, context: Context, who: Who) -> Run:
     """Nothing is deleted."""
     return context.records.void(run.id, body.reason, who=who)
 
 
-@router.post(
-    "/api/runs/{run_id}/unvoid",
-    dependencies=[requires("releaser")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Have a voided run count again",
-)
+@acts_on_run("unvoid", "releaser", "Have a voided run count again")
 def unvoid_run(run: KnownRun, body: Reason, context: Context, who: Who) -> Run:
     """409 where it is not voided. Both reasons are in the trail."""
     return context.records.unvoid(run.id, body.reason, who=who)
 
 
-@router.post(
-    "/api/runs/{run_id}/note",
-    dependencies=[requires("operator")],
-    response_model=RunAnswer,
-    responses=problems(404, 413, 422),
-    summary="Note something of a run",
-)
+@acts_on_run("note", "operator", "Note something of a run", 404, 413, 422)
 def note_run(run: KnownRun, body: Note, context: Context, who: Who) -> Run:
     """At any time. It goes below what is noted already, with the time and who says it."""
     return context.records.note(run.id, body.note, who=who)
 
 
-@router.post(
-    "/api/runs/{run_id}/unit",
-    dependencies=[requires("releaser")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Correct a run's serial number",
-)
+@acts_on_run("unit", "releaser", "Correct a run's serial number")
 def move_run(run: KnownRun, body: RightUnit, context: Context, who: Who) -> Run:
     """The run moves to that unit with what it follows on and what follows on it; both histories say so.
 
@@ -324,33 +290,18 @@ def move_run(run: KnownRun, body: RightUnit, context: Context, who: Who) -> Run:
     return context.records.move(run.id, body.unit, body.reason, who=who)
 
 
-@router.post(
-    "/api/runs/{run_id}/poses/{index}/exclude",
-    dependencies=[requires("operator")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Keep a pose, out of the result",
-)
+@acts_on_run("poses/{index}/exclude", "operator", "Keep a pose, out of the result")
 def exclude_pose(run: KnownRun, index: PoseIndex, body: Reason, context: Context, who: Who) -> Run:
     """The result is computed again from the poses that are left."""
     return context.records.exclude_pose(run.id, index, body.reason, who=who)
 
 
-@router.post(
-    "/api/runs/{run_id}/poses/{index}/include",
-    dependencies=[requires("operator")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Have an excluded pose count again",
-)
+@acts_on_run("poses/{index}/include", "operator", "Have an excluded pose count again")
 def include_pose(
     run: KnownRun, index: PoseIndex, context: Context, who: Who, body: ReasonIfAny | None = None
 ) -> Run:
     """The result is computed again with it."""
     return context.records.include_pose(run.id, index, None if body is None else body.reason, who=who)
-
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
 
 class ClampUnit(Body):

@@ -2,6 +2,7 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
+from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
@@ -24,6 +25,7 @@ from calrig.export.solution_documents import in_file
 from calrig.figures.joint import joint_figure
 from calrig.model.noise import Figure
 from calrig.model.solution import Frame, ListedSolution, PoseResiduals, Solution
+from calrig.store.records import Document
 from calrig.store.solutions import ListedSolution as Listed
 from calrig.store.solutions import StoredSolution
 
@@ -94,7 +96,7 @@ async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wai
     wanted = SolutionRequest(**body.model_dump())
     await run_in_threadpool(_require_rig, context, wanted.rig)
 
-    async def work(job: Job) -> dict[str, Any]:
+    async def work(job: Job) -> Solution:
         asked = await run_in_threadpool(question, context.store, wanted)
         try:
             found = await job.run(partial(answer, asked), tells_progress=True)
@@ -102,7 +104,7 @@ async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wai
             raise Invalid(str(error), ["runs"]) from error
         return _shown(await run_in_threadpool(context.store.solutions.save, found, by=who))
 
-    return await heavy.answer(work, wait=wait, kept_at=lambda kept: f"/api/solve/{kept['id']}")
+    return await heavy.answer(work, wait=wait, kept_at=lambda kept: f"/api/solve/{kept.id}")
 
 
 @router.get("/api/solve", response_model=list[ListedSolution], summary="Solutions, newest first")
@@ -110,7 +112,7 @@ def list_solutions(
     context: Context,
     rig: str | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
-) -> list[dict[str, Any]]:
+) -> list[ListedSolution]:
     """What each rests on, and the RMS of held-out poses without and with the map."""
     return [_listed(one) for one in context.store.solutions.newest(rig, limit)]
 
@@ -121,7 +123,7 @@ def list_solutions(
     responses=problems(404),
     summary="A solution",
 )
-def show_solution(solution: KnownSolution) -> dict[str, Any]:
+def show_solution(solution: KnownSolution) -> Solution:
     """As it was found: what has become of its runs since is not in it."""
     return _shown(solution)
 
@@ -156,7 +158,7 @@ def solution_calibration(solution: KnownSolution, serial: str) -> Response:
     responses=problems(404),
     summary="What each pose of a solution leaves of its angle",
 )
-def solution_poses(solution: KnownSolution) -> dict[str, Any]:
+def solution_poses(solution: KnownSolution) -> Document:
     """Columns of the poses that were not left out as wild."""
     return solution.found.poses
 
@@ -178,34 +180,16 @@ def _require_rig(context: ApiContext, rig: str | None) -> None:
         context.service.known_rig(rig)
 
 
-def _shown(kept: StoredSolution) -> dict[str, Any]:
-    return {**_beside(kept, kept.found), **kept.found.document}
+def _shown(kept: StoredSolution) -> Solution:
+    known_by = {"id": kept.id, "created_at": kept.created_at, "by": kept.by, "rig": kept.found.rig}
+    return Solution.model_validate({**asdict(kept.found.basis), **known_by, **kept.found.document})
 
 
-def _listed(one: Listed) -> dict[str, Any]:
-    return {
-        **_beside(one, one),
-        "units": list(one.basis.units),
-        "separable": one.separable,
-        "before": {"held_out_rms_deg": one.before_rms_deg},
-        "final": {"held_out_rms_deg": one.final_rms_deg},
-    }
+def _listed(one: Listed) -> ListedSolution:
+    rms = {"before": one.before_rms_deg, "final": one.final_rms_deg}
+    held_out = {name: {"held_out_rms_deg": value} for name, value in rms.items()}
+    return ListedSolution.model_validate({**asdict(one), **asdict(one.basis), **held_out})
 
 
-def _beside(kept: StoredSolution | Listed, found: Any) -> dict[str, Any]:
-    """What an answer has beside the document, of which `units` is a part."""
-    return {
-        "id": kept.id,
-        "created_at": kept.created_at,
-        "by": kept.by,
-        "rig": found.rig,
-        "runs": list(found.basis.runs),
-        "linear": found.basis.linear,
-        "periods_deg": list(found.basis.periods_deg),
-        "seat_std_deg": found.basis.seat_std_deg,
-        "frame": found.basis.frame,
-    }
-
-
-def _file(document: dict[str, Any]) -> Response:
+def _file(document: Document) -> Response:
     return Response(in_file(document), media_type="application/json")

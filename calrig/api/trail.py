@@ -2,6 +2,7 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
+from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any
 
@@ -10,13 +11,13 @@ from pydantic import AwareDatetime, Field
 
 from calrig.api.context import Context
 from calrig.api.errors import problems
-from calrig.api.models import Answer
-from calrig.store.trail import Entry, What
+from calrig.model.base import Model
+from calrig.store.trail import What
 
 router = APIRouter(tags=["access"])
 
 
-class EntryAnswer(Answer):
+class EntryAnswer(Model):
     """Something that was done; `who` is null where nobody was known by name."""
 
     seq: int
@@ -32,7 +33,7 @@ class EntryAnswer(Answer):
     sha256: str = Field(description="Of the entry before it and all that this one says.")
 
 
-class TrailAnswer(Answer):
+class TrailAnswer(Model):
     """Entries, and whether the whole trail is as it was written."""
 
     entries: list[EntryAnswer]
@@ -59,22 +60,5 @@ def show_trail(
         unit=unit, what=what or (), since=since, after=after, newest_first=newest_first, limit=limit
     )
     broken_at = context.store.trail.broken_link()
-    shown = [_shown(entry) for entry in entries]
+    shown = [{**asdict(one.act), "seq": one.seq, "at": one.at, "sha256": one.sha256} for one in entries]
     return {"entries": shown, "intact": broken_at is None, "broken_at": broken_at}
-
-
-def _shown(entry: Entry) -> dict[str, Any]:
-    act = entry.act
-    return {
-        "seq": entry.seq,
-        "at": entry.at,
-        "who": act.who,
-        "what": act.what,
-        "unit": act.unit,
-        "rig": act.rig,
-        "run_id": act.run_id,
-        "revision": act.revision,
-        "reason": act.reason,
-        "detail": act.detail,
-        "sha256": entry.sha256,
-    }

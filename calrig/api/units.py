@@ -1,9 +1,4 @@
-"""Units: who they are and their runs. A serial number may contain `/`.
-
-What the customer said of a unit, and how it came: for its certificates.
-
-A unit's archive over HTTP, made as it is sent.
-"""
+"""Units: their runs, the calibration item as received, and their archive. A serial number may contain `/`."""
 
 from __future__ import annotations
 
@@ -23,11 +18,9 @@ from calrig.analysis.check_standard import with_doubts
 from calrig.api.access import Who, requires
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems, problems_in_json
-from calrig.api.models import Answer, Body, UnitAnswer, UnitWithRuns
+from calrig.api.models import Body, UnitAnswer, UnitWithRuns
+from calrig.model.base import Model
 from calrig.store.units import CalibrationItem
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 
 EVERY_RUN = 2**31
 
@@ -43,7 +36,7 @@ ItemField = Literal[
 
 
 class ItemBody(Body):
-    """A unit as it was handed in; what is left out is not stated on its certificates.
+    """A calibration item as received; fields that are left out are not stated on its certificates.
 
     `supplied` names the fields that are the customer's own word; `interval_agreed_months` is for where the
     customer agreed to an interval.
@@ -77,7 +70,7 @@ class ItemBody(Body):
         return value
 
 
-class ItemAnswer(Answer):
+class ItemAnswer(Model):
     """What was said of a unit last; null where nobody has said."""
 
     customer: str | None
@@ -94,7 +87,7 @@ class ItemAnswer(Answer):
     "/api/units/{serial:path}/item",
     response_model=ItemAnswer,
     responses=problems(404),
-    summary="How a unit was handed in",
+    summary="The calibration item as received",
 )
 def show_item(unit: KnownUnit, context: Context) -> object:
     """What certificates of calibrations made from now on state of it."""
@@ -106,16 +99,13 @@ def show_item(unit: KnownUnit, context: Context) -> object:
     dependencies=[requires("operator")],
     response_model=ItemAnswer,
     responses=problems(404, 413, 422),
-    summary="Say how a unit was handed in",
+    summary="Set the calibration item as received",
 )
 def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> object:
     """All of it at once. Certificates of runs before `received_at` keep what was said before."""
     said = CalibrationItem(**{**body.model_dump(), "supplied": tuple(dict.fromkeys(body.supplied))})
     context.store.items.add(unit.serial, said, who=who)
     return said
-
-
-# No `from __future__ import annotations`: FastAPI reads the annotations.
 
 
 ZIP = "application/zip"
@@ -176,6 +166,3 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
 def remove_unit(serial: str, context: Context, who: Who) -> None:
     """As one is left whose runs were moved to their right serial number. 409 where it has runs."""
     context.store.units.remove(serial, who=who)
-
-
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.

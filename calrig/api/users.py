@@ -1,10 +1,8 @@
-"""Users, as an admin keeps them: who is known, in which role, by which token."""
+"""Users, managed by an admin: name, role and token."""
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from dataclasses import asdict
-from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter
 from pydantic import Field
@@ -13,8 +11,9 @@ from calrig.api.access import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
 from calrig.api.login import Auth
-from calrig.api.models import Answer, Body
-from calrig.store.users import NAME, Role, User
+from calrig.api.models import Body
+from calrig.model.service import KnownUser, Role
+from calrig.store.users import NAME, User
 
 router = APIRouter(tags=["access"], dependencies=[requires("admin")])
 
@@ -33,26 +32,16 @@ class NewRole(Body):
     role: Role
 
 
-class UserAnswer(Answer):
-    """Somebody who is known, or was."""
-
-    name: str
-    role: Role
-    has_token: bool
-    created_at: datetime
-    disabled_at: datetime | None
-
-
-class UserWithToken(UserAnswer):
+class UserWithToken(KnownUser):
     """The same, and the token, which is told here and never again."""
 
     token: str | None
 
 
-@router.get("/api/users", response_model=list[UserAnswer], summary="Everybody who is known, or was")
-def list_users(context: Context) -> object:
-    """By name. For admins, as all that is about users."""
-    return [_shown(user) for user in context.store.users.all()]
+@router.get("/api/users", response_model=list[KnownUser], summary="All users")
+def list_users(context: Context) -> list[User]:
+    """By name, disabled users included."""
+    return context.store.users.all()
 
 
 @router.post(
@@ -63,10 +52,10 @@ def list_users(context: Context) -> object:
     summary="Add a user",
 )
 def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
-    """With a token, shown this once: the store keeps its hash. Who was disabled is added again likewise."""
+    """The token is shown only here: the store keeps its hash. A disabled user is added again in this way."""
     user, token = context.store.users.add(body.name, body.role, with_token=body.token, who=who)
     auth.people.reread()
-    return {**_shown(user), "token": token}
+    return _with_token(user, token)
 
 
 @router.post(
@@ -76,38 +65,37 @@ def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
     summary="Give a user a new token",
 )
 def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
-    """In place of the one before, which opens nothing from then on, nor does a session begun with it."""
+    """The previous token and all logins made with it stop working."""
     user, token = context.store.users.new_token(name, who=who)
     auth.people.reread()
-    return {**_shown(user), "token": token}
+    return _with_token(user, token)
 
 
 @router.post(
     "/api/users/{name}/role",
-    response_model=UserAnswer,
+    response_model=KnownUser,
     responses=problems(404, 409, 413, 422),
     summary="Give a user another role",
 )
 def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -> object:
-    """From now on, also where they have logged in. The last admin stays one."""
+    """The role takes effect at once, also in sessions. The last admin keeps that role."""
     user = context.store.users.set_role(name, body.role, who=who)
     auth.people.reread()
-    return _shown(user)
+    return user
 
 
 @router.post(
     "/api/users/{name}/disable",
-    response_model=UserAnswer,
+    response_model=KnownUser,
     responses=problems(404, 409),
-    summary="Let a user in no more",
+    summary="Disable a user",
 )
 def disable_user(name: str, context: Context, auth: Auth, who: Who) -> object:
-    """Token and sessions open nothing any more. What they did stays theirs; the last admin stays."""
+    """Token and sessions stop working. Past actions keep the name; the last admin cannot be disabled."""
     user = context.store.users.disable(name, who=who)
     auth.people.reread()
-    return _shown(user)
+    return user
 
 
-def _shown(user: User) -> dict[str, Any]:
-    kept = asdict(user)
-    return {"has_token": kept.pop("token_sha256") is not None, **kept}
+def _with_token(user: User, token: str | None) -> UserWithToken:
+    return UserWithToken(**KnownUser.model_validate(user).model_dump(), token=token)

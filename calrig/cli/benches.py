@@ -1,7 +1,4 @@
-"""`bench`: which benches a centre has, in its database or at the running service.
-
-`agent enroll`: how a bench joins its centre, by a code that an admin of the centre has made.
-"""
+"""`bench`: the benches of a centre, in its database or at the running service; `agent enroll`: join one."""
 
 from __future__ import annotations
 
@@ -9,11 +6,9 @@ import os
 import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
-from datetime import datetime
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import IO, TYPE_CHECKING, Annotated, Any
+from typing import IO, TYPE_CHECKING, Annotated
 from urllib.parse import quote, urlsplit
 
 import typer
@@ -25,7 +20,6 @@ from calrig.errors import InputError, WorkError
 if TYPE_CHECKING:
     from calrig.client import Client
     from calrig.store import Store
-    from calrig.store.enrolment import Membership
 
 
 app = typer.Typer(
@@ -71,15 +65,18 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
     from calrig.cli.output import print_benches, print_json
 
     if server:
-        benches = _client(server).get("/api/benches")
+        from calrig.client.documents import each
+        from calrig.model.service import Membership
+
+        benches = each(Membership, _client(server).get("/api/benches"))
     else:
         from calrig.settings import store_url
         from calrig.store import Store
 
         with Store.open(store_url(db), writer=None) as store:
-            benches = [_shown(bench) for bench in store.enrolment.benches()]
+            benches = store.enrolment.benches()
     if as_json:
-        print_json(benches)
+        print_json([bench.model_dump(mode="json") for bench in benches])
     else:
         print_benches(benches)
 
@@ -102,14 +99,6 @@ def _writing(db: str | None) -> Iterator[Store]:
         raise InputError(NO_CENTRE)
     with Store.open(url, writer="bench") as store:
         yield store
-
-
-def _shown(bench: Membership) -> dict[str, Any]:
-    """As the service shows one."""
-    return {
-        key: value.isoformat() if isinstance(value, datetime) else value
-        for key, value in asdict(bench).items()
-    }
 
 
 def enroll(

@@ -34,18 +34,20 @@ def diagnose(
     """
     from calrig.calibration.poses import DiagnosisError
     from calrig.cli import output
+    from calrig.client.documents import typed
+    from calrig.model.diagnosis import Diagnosis
 
     files = [source for source in sources if names_a_file(source)]
     if files and len(files) < len(sources):
         raise InputError("diagnose: name files or run ids, not both")
     try:
-        found = _of_files(files) if files else _of_runs(sources, db, server)
+        found: object = _of_files(files) if files else _of_runs(sources, db, server)
     except DiagnosisError as error:
         raise InputError(f"{', '.join(sources)}: {error}") from error
     if as_json:
         output.print_json(found)
     else:
-        output.print_diagnosis(found)
+        output.print_diagnosis(typed(Diagnosis, found))
 
 
 def gravity(
@@ -92,7 +94,7 @@ def _of_files(files: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def _of_runs(run_ids: Sequence[str], db: str | None, server: str | None) -> dict[str, Any]:
+def _of_runs(run_ids: Sequence[str], db: str | None, server: str | None) -> object:
     from calrig.cli.progress import late_bar
 
     there = running_service(server, db)
@@ -100,8 +102,7 @@ def _of_runs(run_ids: Sequence[str], db: str | None, server: str | None) -> dict
         *more, last = (whole_id_there(there, typed) for typed in run_ids)
         with late_bar("diagnosing") as show:
             there.diagnose(last, *more, told=show)
-        found: dict[str, Any] = there.get(f"/api/runs/{last}/diagnosis")
-        return found
+        return there.get(f"/api/runs/{last}/diagnosis")
 
     from calrig.analysis.diagnoses import Diagnoses
     from calrig.settings import store_url

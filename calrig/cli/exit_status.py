@@ -1,7 +1,4 @@
-"""How a group lists its commands: each summary whole, where click cuts them after 45 letters.
-
-How a command ends: 0 done; 1 the work failed; 2 wrong usage or unreadable input; one line says why.
-"""
+"""How a command ends: 0 done; 1 the work failed; 2 wrong usage or unreadable input; one line says why."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`export`: a unit's calibration, its poses, its certificate, or all that stands behind it.
-
-What `export` puts into files: certificates, archives, all poses.
-"""
+"""`export`: a unit's calibration, poses, certificate or archive; or the poses of all runs."""
 
 from __future__ import annotations
 
@@ -9,18 +6,20 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
+from urllib.parse import quote
 
 import typer
 
 from calrig.cli import options
 from calrig.cli.options import SHORTENED, Db, Server, whole_id
 from calrig.cli.progress import late_bar
-from calrig.cli.running_service import is_named, running_service
+from calrig.cli.running_service import is_named, running_service, whole_id_there
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from calrig.calibration.fleet_screen import PackedPoses
     from calrig.client import Client
+    from calrig.client import Revision as RevisionThere
     from calrig.store import Store
     from calrig.store.issued import Revision
 
@@ -103,12 +102,12 @@ def export(
         if run_id is not None or unit is not None:
             raise InputError("export: --parquet writes the poses of all runs: name no run or unit beside it")
         _refuse_elsewhere("--parquet", server, db)
-        export_all(parquet, db)
+        _export_all(parquet, db)
         return
     if format_ == "archive":
         if run_id is not None:
             raise InputError("export: an archive is of a unit, not of a run: --unit SERIAL --out FILE.zip")
-        export_archive(running_service(server, db), unit, out, db)
+        _export_archive(running_service(server, db), unit, out, db)
         return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
@@ -128,9 +127,7 @@ def _export_text(
 ) -> None:
     there = running_service(server, db)
     if there is not None:
-        from calrig.cli.export_there import exported_there
-
-        text, of_unit, found = exported_there(there, run_id, unit, format_)
+        text, of_unit, found = _exported_there(there, run_id, unit, format_)
         if found is not None:
             says = () if format_ == "csv" else found.verdict.says
             _say_which(of_unit, found.revision, found.status, says)
@@ -154,17 +151,15 @@ def _export_certificate(
     server: str | None,
 ) -> None:
 
-    check_target(form, out)
+    _check_target(form, out)
     is_signed = signing != (None, None)
     if is_signed:
         _refuse_elsewhere("--sign", server, db)
     there = None if is_signed else running_service(server, db)
     if there is not None:
-        from calrig.cli.export_there import revision_there
-
-        of_unit, found = revision_there(there, run_id, unit)
+        of_unit, found = _revision_there(there, run_id, unit)
         _say_which(of_unit, found.revision, found.status, found.verdict.says)
-        put(there.certificate(of_unit, form, found.revision), out)
+        _put(there.certificate(of_unit, form, found.revision), out)
         return
 
     from calrig.settings import store_url
@@ -173,7 +168,47 @@ def _export_certificate(
     with Store.open(store_url(db), writer=None) as store:
         kept = _revision_asked_for(store, run_id and whole_id(store, run_id), unit)
         _say_which(kept.unit, kept.revision, kept.status, kept.verdict["says"])
-        put(certificate_of(store, kept, form, *signing), out)
+        _put(_certificate_of(store, kept, form, *signing), out)
+
+
+def _exported_there(
+    client: Client, run_id: str | None, unit: str | None, format_: str
+) -> tuple[str, str, RevisionThere | None]:
+    """Return the text that a service exports, its unit and its revision; no revision of a run's poses."""
+    from calrig.export.formats import exporters
+
+    if run_id is not None and format_ == "csv":
+        return _poses_there(client, whole_id_there(client, run_id)), "", None
+    if format_ in {exporter.name for exporter in exporters("noise")}:
+        of_unit = unit or client.run(whole_id_there(client, run_id or "")).unit
+        return client.exported(of_unit, format_), of_unit, None
+    of_unit, found = _revision_there(client, run_id, unit)
+    if format_ == "csv":
+        return _poses_there(client, found.run_id), of_unit, found
+    text = client.exported(of_unit, format_, found.revision)
+    return text + "\n" * (format_ == "json"), of_unit, found
+
+
+def _revision_there(client: Client, run_id: str | None, unit: str | None) -> tuple[str, RevisionThere]:
+    """Return a unit and its revision at a service: the newest of the run; else in force, else the latest.
+
+    Raises:
+        WorkError: there is none.
+    """
+    if unit is not None:
+        standing = [one for one in client.calibrations(unit) if one.status != "withdrawn"]
+        if not standing:
+            raise WorkError(f"unit {unit!r} has no calibration: none was completed, or all were withdrawn")
+        return unit, next((one for one in standing if one.status == "in_force"), standing[0])
+    run = client.run(whole_id_there(client, run_id or ""))
+    for one in client.calibrations(run.unit):
+        if one.run_id == run.id:
+            return run.unit, one
+    raise WorkError(f"run {run.id} gave no calibration")
+
+
+def _poses_there(client: Client, run_id: str) -> str:
+    return client.text(f"/api/runs/{quote(run_id, safe='')}/poses?format=csv")
 
 
 def _refuse_elsewhere(option: str, server: str | None, db: str | None) -> None:
@@ -243,19 +278,15 @@ def _say_which(unit: str, revision: int, status: str, says: Iterable[str]) -> No
     print_says(says)
 
 
-def check_target(form: Form, out: Path | None) -> None:
-    """Refuses a PDF that would go to a terminal, and a file in a folder that is not there.
-
-    Raises:
-        InputError: so it is.
-    """
+def _check_target(form: Form, out: Path | None) -> None:
+    """Raise InputError for a PDF that would go to a terminal, or a file in a folder that does not exist."""
     if form == "pdf" and out is None and sys.stdout.isatty():
         raise InputError("export: --format pdf is no text: name a file with -o FILE, or pipe it")
     if out is not None and (out.is_dir() or not out.parent.is_dir()):
         raise InputError(f"export: {out}: is a folder, or in one that is not there: name a file to make")
 
 
-def put(certificate: bytes, out: Path | None) -> None:
+def _put(certificate: bytes, out: Path | None) -> None:
     """Writes a certificate into a file, or to standard output."""
     if out is None:
         sys.stdout.buffer.write(certificate)
@@ -266,22 +297,10 @@ def put(certificate: bytes, out: Path | None) -> None:
         raise WorkError(f"{out}: cannot be written ({error.strerror})") from error
 
 
-def certificate_of(
+def _certificate_of(
     store: Store, revision: Revision, form: Form, key: Path | None, certificate: Path | None
 ) -> bytes:
-    """A revision's certificate.
-
-    Args:
-        store: where the revision is.
-        revision: that it is of.
-        form: of the certificate.
-        key: PEM file that a DCC is signed with; None as the laboratory's settings have it.
-        certificate: of that key.
-
-    Raises:
-        InputError: key or certificate are not both named.
-        WorkError: it cannot be made.
-    """
+    """Return a revision's certificate, signed with a key and its certificate, or as the settings say."""
     from calrig.analysis.certificates import certificate_dcc, certificate_pdf
     from calrig.settings import load_settings
 
@@ -296,13 +315,8 @@ def certificate_of(
     return (certificate_pdf if form == "pdf" else certificate_dcc)(store, revision, laboratory)
 
 
-def export_archive(there: Client | None, unit: str | None, out: Path | None, db: str | None) -> None:
-    """Writes the archive of a unit, of a service or a store, to a file that is not there yet.
-
-    Raises:
-        InputError: no unit or file is named, or it cannot be made.
-        WorkError: the disk took only a part of it, which is removed.
-    """
+def _export_archive(there: Client | None, unit: str | None, out: Path | None, db: str | None) -> None:
+    """Write the archive of a unit, from a service or a store, to a new file."""
     from calrig.export.new_file import write_new
 
     if unit is None or out is None:
@@ -320,7 +334,7 @@ def export_archive(there: Client | None, unit: str | None, out: Path | None, db:
     typer.echo(f"{out}: {size / 1e6:.1f} MB")
 
 
-def export_all(folder: Path, db: str | None) -> None:
+def _export_all(folder: Path, db: str | None) -> None:
     """Writes the poses of all completed runs of a store as Parquet files."""
     from calrig.export.poses_parquet import write_poses
     from calrig.settings import store_url

@@ -1,11 +1,16 @@
-"""`fleet`: every completed run once more by today's catalogue."""
+"""`fleet`: re-analyse every completed run with the current catalogue, on Dask workers where there are any."""
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +18,7 @@ from calrig.cli.options import Db, Json
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
+    from calrig.analysis.fleet import Workers
     from calrig.store import Store
 
 
@@ -37,7 +43,6 @@ def fleet(
     """
     from calrig.analysis.fleet import reanalyse
     from calrig.cli import output
-    from calrig.cli.dask_workers import workers
     from calrig.cli.progress import late_bar
     from calrig.settings import store_url
     from calrig.store import Store
@@ -45,7 +50,7 @@ def fleet(
     with _opened(store_url(db), writes=out is None) as store:
         kept_in = nullcontext(store) if out is None else Store.open(store_url(out), writer="fleet")
         with kept_in as results:
-            found = reanalyse(store, results, partial(workers, scheduler), late_bar, poses)
+            found = reanalyse(store, results, partial(_workers, scheduler), late_bar, poses)
     if as_json:
         output.print_json(found)
     else:
@@ -60,3 +65,54 @@ def _opened(url: str, *, writes: bool) -> Store:
         return Store.open(url, writer="fleet" if writes else None)
     except Taken as error:
         raise WorkError(f"{error}, or keep what is found elsewhere with --out FILE") from error
+
+
+PATIENCE_S = 30.0
+"""For a scheduler, and for its first worker."""
+
+
+@contextmanager
+def _workers(scheduler: str | None) -> Iterator[Workers]:
+    """Those of a scheduler; without one those of this machine, calrig's own where Dask is not installed.
+
+    Args:
+        scheduler: its address, such as `tcp://10.0.0.7:8786`.
+
+    Raises:
+        WorkError: the scheduler does not answer or has no worker, or is named and Dask is not installed.
+    """
+    from calrig.analysis.fleet import Workers, own_processes
+
+    if find_spec("distributed") is None:
+        if scheduler is not None:
+            raise WorkError("--scheduler needs Dask: pip install 'calrig[fleet]'")
+        with own_processes() as own:
+            yield own
+        return
+    distributed: Any = import_module("distributed")
+    with ExitStack() as stack:
+        if scheduler is None:
+            slots = len(os.sched_getaffinity(0))
+            cluster = distributed.LocalCluster(
+                n_workers=slots, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR
+            )
+            client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
+        else:
+            client = stack.enter_context(_connected(distributed, scheduler))
+            slots = sum(client.ncores().values())
+        executor = stack.enter_context(client.get_executor(pure=False))
+        yield Workers(executor.submit, slots, f"{slots} workers of {scheduler or 'this machine'}")
+
+
+def _connected(distributed: Any, scheduler: str) -> Any:
+    try:
+        client = distributed.Client(scheduler, timeout=PATIENCE_S)
+    except (OSError, ValueError) as error:
+        raise WorkError(f"{scheduler}: no Dask scheduler answers there ({error})") from error
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    except TimeoutError as error:
+        client.close()
+        said = f"has no worker: start `dask worker {scheduler}` where calrig is installed"
+        raise WorkError(f"{scheduler}: {said}") from error
+    return client

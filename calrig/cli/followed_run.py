@@ -6,11 +6,13 @@ import threading
 from collections.abc import Sequence
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from calrig.cli.progress import LOOK_S, Notice, Refusal
 from calrig.client.errors import CONFLICT, Refused, ServiceError, Unreachable
 from calrig.errors import WorkError
+from calrig.model.run import Mount, Progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,7 +27,7 @@ class FollowedRun:
         record = run.record
         self.id, self.is_over = run.id, False
         self.status: str = record.status
-        self.progress: dict[str, Any] = record.progress.model_dump()
+        self.progress = record.progress
         self.has_clamp = any(rig.clamp for rig in client.rigs() if rig.name == record.rig)
         self._client, self._run, self._rig = client, run, record.rig
         self._heard: SimpleQueue[RunEvent | Notice | Exception | None] = SimpleQueue()
@@ -65,18 +67,14 @@ class FollowedRun:
         with _refusals():
             self._run.resume()
 
-    def turn(self, mount_deg: float, mount_axis: str) -> None:
-        """Has the rig's clamp turn the unit."""
-        from urllib.parse import quote
-
-        body = {"mount_deg": mount_deg, "mount_axis": mount_axis}
+    def turn(self, wanted: Mount) -> None:
+        """Has the rig's clamp rotate the unit."""
         with _refusals():
-            self._client.post(f"/api/rigs/{quote(str(self._rig), safe='')}/clamp", body)
+            self._client.post(f"/api/rigs/{quote(str(self._rig), safe='')}/clamp", wanted.model_dump())
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> object:
         """As the API gives it."""
-        document: dict[str, Any] = self._client.get(f"/api/runs/{self.id}")
-        return document
+        return self._client.get(f"/api/runs/{self.id}")
 
     def _listen(self) -> None:
         try:
@@ -93,7 +91,7 @@ class FollowedRun:
         if event.type == "state":
             self.status = event.data["status"]
         elif event.type == "progress":
-            self.progress = event.data
+            self.progress = Progress.model_validate(event.data)
 
 
 @contextmanager

@@ -42,7 +42,7 @@ def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
     if is_larger or len(content) > limit:
-        raise InputError(f"{file}: has more than {limit} bytes, and no more are read")
+        raise InputError(f"{file}: larger than the maximum of {limit} bytes; split the file")
     return content
 
 

@@ -61,7 +61,7 @@ def local_service(
 
     Args:
         url: of the store.
-        command: the command that holds the store meanwhile; whoever else wants to write is told of it.
+        command: the command that holds the store; other writers are told its name.
         rigs: those that runs may be started on.
         settings: all that is configured.
         record: folder that takes what passes on the wires; None keeps the last minute only.
@@ -144,7 +144,7 @@ def require_drivers(settings: Settings, rigs: Sequence[RigSettings]) -> None:
 
 @contextmanager
 def _with_ports(rig: RigSettings) -> Iterator[RigSettings]:
-    """The rig; a simulated one runs in a process of its own meanwhile, and has that one's ports."""
+    """Yield the rig; a simulated rig runs in a process of its own and gets the ports of that process."""
     if rig.simulated is None:
         yield rig
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from calrig.client import Client
+    from calrig.export.static_csv import StaticLog
     from calrig.figures.files import Rows
     from calrig.model.noise import FiltersStudy, NoiseStudy
     from calrig.noise.filters import FilterStudy
@@ -47,17 +48,18 @@ def noise(
     """Characterise the noise of a sensor at rest: Allan deviation, spectrum, distribution."""
     from calrig.cli import output
     from calrig.figures.files import writer_of
+    from calrig.model.noise import NoiseReport
 
     write = None if plot is None else writer_of(plot)
-    given = rate, accel_range, gyro_range
+    given = _Recorded(rate_hz=rate, accel_range_g=accel_range, gyro_range_dps=gyro_range)
     there = running_service(server, None) if server else None
-    document, draw = _noise_here(file, *given) if there is None else _noise_there(there, file, *given)
+    document, draw = _noise_here(file, given) if there is None else _noise_there(there, file, given)
     if write is not None:
         write(file.name, draw())
     if as_json:
         output.print_json(document)
     else:
-        output.print_noise(document)
+        output.print_noise(NoiseReport.model_validate(document))
 
 
 def filters(
@@ -85,11 +87,11 @@ def filters(
     is_file = names_a_file(source)
     asked = server if is_file else server or os.environ.get(NAMED)
     there = None if is_file and not server else running_service(asked, db)
-    given = rate, accel_range, gyro_range
-    if there is None:
-        document, draw = _filters_of_file(Path(source), *given) if is_file else _filters_of_run(source, db)
+    given = _Recorded(rate_hz=rate, accel_range_g=accel_range, gyro_range_dps=gyro_range)
+    if there is not None:
+        document, draw = _filters_there(there, source, given, is_file=is_file)
     else:
-        document, draw = _filters_there(there, source, *given, is_file=is_file)
+        document, draw = _filters_of_file(Path(source), given) if is_file else _filters_of_run(source, db)
     if write is not None:
         write(source, draw())
     if as_json:
@@ -98,18 +100,33 @@ def filters(
         output.print_filters(document)
 
 
-def _noise_here(
-    file: Path, rate_hz: float | None, accel_range_g: int | None, gyro_range_dps: int | None
-) -> Found:
+class _Recorded(TypedDict):
+    """How a log was recorded, where it does not tell by itself."""
+
+    rate_hz: float | None
+    accel_range_g: int | None
+    gyro_range_dps: int | None
+
+
+def _read(file: Path, given: _Recorded, show: Callable[[float], None]) -> StaticLog:
+    """The log of a file, which takes the first part of the bar."""
+    ranges = given["accel_range_g"], given["gyro_range_dps"]
+    return read_log_file(file, *ranges, lambda share: show(READING * share))
+
+
+def _noise_here(file: Path, given: _Recorded) -> Found:
     from calrig.cli.progress import late_bar
     from calrig.noise.analysis import analyse
     from calrig.noise.report import noise_document, said_first
 
     with late_bar(file.name) as show:
-        log = read_log_file(file, accel_range_g, gyro_range_dps, lambda share: show(READING * share))
+        log = _read(file, given, show)
         try:
             found = analyse(
-                log.channels, log.time_s, rate_hz, lambda share: show(READING + (1.0 - READING) * share)
+                log.channels,
+                log.time_s,
+                given["rate_hz"],
+                lambda share: show(READING + (1.0 - READING) * share),
             )
         except ValueError as error:
             raise InputError(f"{file}: {error}") from error
@@ -122,37 +139,22 @@ def _noise_here(
     return said_first(log.warnings, noise_document(found)), draw
 
 
-def _noise_there(
-    client: Client,
-    file: Path,
-    rate_hz: float | None,
-    accel_range_g: int | None,
-    gyro_range_dps: int | None,
-) -> Found:
+def _noise_there(client: Client, file: Path, given: _Recorded) -> Found:
     from calrig.cli.progress import late_bars
 
     with late_bars() as step:
-        study = client.noise(
-            file,
-            rate_hz=rate_hz,
-            accel_range_g=accel_range_g,
-            gyro_range_dps=gyro_range_dps,
-            sent=step(f"sending {file.name}"),
-            told=step(file.name),
-        )
+        study = client.noise(file, **given, sent=step(f"sending {file.name}"), told=step(file.name))
     return study.report.model_dump(mode="json"), lambda: _drawn(study)
 
 
-def _filters_of_file(
-    file: Path, rate_hz: float | None, accel_range_g: int | None, gyro_range_dps: int | None
-) -> Found:
+def _filters_of_file(file: Path, given: _Recorded) -> Found:
     from calrig.cli.progress import late_bar
     from calrig.noise.filters import study_filters
 
     with late_bar(file.name) as show:
-        log = read_log_file(file, accel_range_g, gyro_range_dps, lambda share: show(READING * share))
+        log = _read(file, given, show)
         try:
-            found = study_filters(log.channels, log.time_s, rate_hz)
+            found = study_filters(log.channels, log.time_s, given["rate_hz"])
         except ValueError as error:
             raise InputError(f"{file}: {error}") from error
     return _of_study(found, log.warnings)
@@ -180,29 +182,14 @@ def _of_study(found: FilterStudy, warnings: Sequence[str]) -> Found:
     return said_first(warnings, filters_document(found)), draw
 
 
-def _filters_there(
-    client: Client,
-    source: str,
-    rate_hz: float | None,
-    accel_range_g: int | None,
-    gyro_range_dps: int | None,
-    *,
-    is_file: bool,
-) -> Found:
+def _filters_there(client: Client, source: str, given: _Recorded, *, is_file: bool) -> Found:
     from calrig.cli.progress import late_bars
 
     with late_bars() as step:
-        if not is_file:
-            study = client.run(whole_id_there(client, source)).filters(told=step("comparing filters"))
+        if is_file:
+            study = client.filters(source, **given, sent=step(f"sending {source}"), told=step(source))
         else:
-            study = client.filters(
-                source,
-                rate_hz=rate_hz,
-                accel_range_g=accel_range_g,
-                gyro_range_dps=gyro_range_dps,
-                sent=step(f"sending {source}"),
-                told=step(source),
-            )
+            study = client.run(whole_id_there(client, source)).filters(told=step("comparing filters"))
     return study.report, lambda: _drawn(study)
 
 

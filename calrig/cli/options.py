@@ -1,10 +1,6 @@
-"""Names that a shell completes: rigs, units and runs, as the service knows them, or store and configuration.
+"""Options and arguments that several commands share, their completion in the shell, and shortened run ids.
 
-Quick, and silent where nobody answers: somebody is typing.
-
-Options and arguments that several commands share.
-
-Ids of runs as people type them: a UUID may be shortened to its first characters.
+Completion asks the service, or reads store and configuration; it gives up silently where nothing answers.
 """
 
 from __future__ import annotations

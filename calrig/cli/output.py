@@ -1,12 +1,9 @@
-"""How commands print: lines, tables, numbers with units and standard errors.
-
-What commands print on standard output: one JSON document for programs, tables for people.
-"""
+"""What commands print: one JSON document for programs; lines and tables with units and errors for people."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -20,8 +17,14 @@ from rich.text import Text
 from calrig.errors import printable
 
 if TYPE_CHECKING:
+    from calrig.client.documents import RunRecord
+    from calrig.model.base import Model
+    from calrig.model.diagnosis import Diagnosis, EffectFound
+    from calrig.model.noise import Coefficient, NoiseReport
+    from calrig.model.result import Result
+    from calrig.model.service import KnownUser, Membership, RigState
+    from calrig.settings import RigSettings
     from calrig.store.moving import Moved
-
 
 FRAME = "│  "
 """Of a column."""
@@ -109,7 +112,7 @@ def _as_list(
         yield caption
 
 
-def print_parameter(title: str, parameter: dict[str, float | None] | None, unit: str = "") -> None:
+def print_parameter(title: str, parameter: Mapping[str, Any] | Model | None, unit: str = "") -> None:
     """Prints a parameter with its standard error; one that does not apply is left out."""
     if parameter is not None:
         std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
@@ -127,44 +130,41 @@ def number(value: float | None, unit: str, decimals: int = 4) -> str:
     return "not known" if value is None else f"{value:.{decimals}f}{unit}"
 
 
-def print_json(document: dict[str, Any] | list[dict[str, Any]]) -> None:
+def print_json(document: object) -> None:
     """Prints a document; what is not known is null in it, never NaN."""
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def print_result(run: dict[str, Any]) -> None:
-    """Prints the result of a run as the API gives it, where it has one, and ends with the verdict."""
-    if run["result"] is not None:
+def print_result(run: RunRecord) -> None:
+    """Print the result of a run, where it has one, and its verdict."""
+    if run.result is not None:
         headings = ("", "value", "u, type A (noise)", "u, type B (stage)")
-        where = "imported" if run["plan"] is None else f"on {run['rig']}"
-        title = f"run {run['id']}: unit {run['unit']}, {where}"
-        print_table(headings, _rows_of(run["result"]), title=title)
-        print_warnings(run["provenance"].get("warnings", ()))
-    if run["verdict"] is not None:
-        _print_sentences(run["verdict"]["says"])
-    mounts_deg = (run["plan"] or {}).get("mounts_deg", [0.0])
-    if len(mounts_deg) > 1 and run["status"] == "completed":
-        of = f"All of this is of the first mount ({mounts_deg[0]:g}°): " if run["result"] is not None else ""
-        _print_sentences([f"{of}`calrig solve {run['id']}` takes all {len(mounts_deg)} mounts together."])
+        where = "imported" if run.plan is None else f"on {run.rig}"
+        print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit}, {where}")
+        print_warnings(run.provenance.get("warnings", ()))
+    if run.verdict is not None:
+        _print_sentences(run.verdict.says)
+    mounts_deg = (run.plan or {}).get("mounts_deg", [0.0])
+    if len(mounts_deg) > 1 and run.status == "completed":
+        of = f"All of this is of the first mount ({mounts_deg[0]:g}°): " if run.result is not None else ""
+        _print_sentences([f"{of}`calrig solve {run.id}` takes all {len(mounts_deg)} mounts together."])
 
 
-def _rows_of(result: dict[str, Any]) -> Iterable[tuple[str, ...]]:
-    gyro = result["gyro"]
-    temperature = result["temperature_c"] or {"min": None, "max": None}
-    stage = result["reference"] or {"bias_std_deg": None, "scale_std": None}
-    bias = result["bias_deg"], result["bias_std_deg"], stage["bias_std_deg"]
-    scale = result["scale"], result["scale_std"], stage["scale_std"]
+def _rows_of(result: Result) -> Iterable[tuple[str, ...]]:
+    stage, temperature, gyro = result.reference, result.temperature_c, result.gyro
+    bias = result.bias_deg, result.bias_std_deg, stage.bias_std_deg if stage else None
+    scale = result.scale, result.scale_std, stage.scale_std if stage else None
     yield "bias", *(number(value, "°") for value in bias)
     yield "scale", *(number(value, "", 6) for value in scale)
-    yield "RMS raw", number(result["rms_raw_deg"], "°")
-    yield "RMS calibrated", number(result["rms_calibrated_deg"], "°")
-    yield "standard error of a reading", number(result["noise_deg"], "°")
-    yield "poses", str(result["n_poses"])
-    lowest, highest = (temperature[end] for end in ("min", "max"))
+    yield "RMS raw", number(result.rms_raw_deg, "°")
+    yield "RMS calibrated", number(result.rms_calibrated_deg, "°")
+    yield "standard error of a reading", number(result.noise_deg, "°")
+    yield "poses", str(result.n_poses)
+    lowest, highest = (temperature.min, temperature.max) if temperature else (None, None)
     yield "temperature", number(lowest, f" to {highest:.1f} °C" if highest is not None else "", 1)
-    for axis, bias, std in zip("xyz", gyro["bias_dps"], gyro["bias_std_dps"], strict=True):
-        yield f"gyro bias {axis}", number(bias, " °/s"), number(std, " °/s")
-    yield "gyro scale", number(gyro["scale"], "", 6), number(gyro["scale_std"], "", 6)
+    for axis, bias_dps, std_dps in zip("xyz", gyro.bias_dps, gyro.bias_std_dps, strict=True):
+        yield f"gyro bias {axis}", number(bias_dps, " °/s"), number(std_dps, " °/s")
+    yield "gyro scale", number(gyro.scale, "", 6), number(gyro.scale_std, "", 6)
 
 
 def print_says(sentences: Iterable[str]) -> None:
@@ -173,15 +173,15 @@ def print_says(sentences: Iterable[str]) -> None:
         typer.echo(f"· {printable(sentence)}", err=True)
 
 
-def print_rigs(rigs: Iterable[dict[str, Any]]) -> None:
-    """Prints the rigs that are configured."""
+def print_rigs(rigs: Iterable[RigSettings]) -> None:
+    """Print the rigs that are configured."""
     rows = (
         (
-            rig["name"],
-            f"{rig['limits_deg'][0]:g}° to {rig['limits_deg'][1]:g}°",
+            rig.name,
+            f"{rig.limits_deg[0]:g}° to {rig.limits_deg[1]:g}°",
             *(
-                "simulated" if part is None else f"{part['driver']} on {part['port']}"
-                for part in (rig["stage"], rig["imu"])
+                "simulated" if rig.simulated is not None or part is None else f"{part.driver} on {part.port}"
+                for part in (rig.stage, rig.imu)
             ),
         )
         for rig in rigs
@@ -189,20 +189,20 @@ def print_rigs(rigs: Iterable[dict[str, Any]]) -> None:
     print_table(("rig", "elevation", "stage", "imu"), rows, justify="left")
 
 
-def print_rigs_there(rigs: Iterable[dict[str, Any]]) -> None:
-    """Prints the rigs of a running service and what they are doing."""
+def print_rigs_there(rigs: Iterable[RigState]) -> None:
+    """Print the rigs of a running service and what they are doing."""
     rows = (
         (
-            rig["name"],
-            rig["state"] + (f", run {rig['run_id'][:8]}" if rig["run_id"] else ""),
-            *("simulated" if rig["simulated"] else driver for driver in (rig["stage"], rig["imu"])),
+            rig.name,
+            rig.state + (f", run {rig.run_id[:8]}" if rig.run_id else ""),
+            *("simulated" if rig.simulated else driver for driver in (rig.stage, rig.imu)),
         )
         for rig in rigs
     )
     print_table(("rig", "is", "stage", "imu"), rows, justify="left")
 
 
-def print_ports(found: Sequence[dict[str, Any]], stanza: str) -> None:
+def print_ports(found: Sequence[Mapping[str, Any]], stanza: str) -> None:
     """Prints who answers on which port, and what can be pasted into the configuration."""
     if not found:
         print_line("there is no serial port: is the USB cable plugged in?")
@@ -214,19 +214,19 @@ def print_ports(found: Sequence[dict[str, Any]], stanza: str) -> None:
         print_line(f"for calrig.toml:\n\n{stanza.rstrip()}")
 
 
-def print_users(users: Sequence[dict[str, Any]]) -> None:
-    """Prints who is known, or was."""
+def print_users(users: Sequence[KnownUser]) -> None:
+    """Print all users."""
     if not users:
         print_line("nobody is known by name: `calrig users add NAME --role admin` makes the first one known")
         return
-    rows = ((user["name"], user["role"], _way_in(user), str(user["created_at"])[:10]) for user in users)
+    rows = ((user.name, user.role, _way_in(user), str(user.created_at)[:10]) for user in users)
     print_table(("name", "role", "comes in", "since"), rows, justify="left")
 
 
-def _way_in(user: dict[str, Any]) -> str:
-    if user["disabled_at"] is not None:
+def _way_in(user: KnownUser) -> str:
+    if user.disabled_at is not None:
         return "no more"
-    return "by token, or a trusted proxy" if user["has_token"] else "by a trusted proxy"
+    return "by token, or a trusted proxy" if user.has_token else "by a trusted proxy"
 
 
 def print_moved(moved: Moved) -> None:
@@ -236,44 +236,42 @@ def print_moved(moved: Moved) -> None:
     print_line(f"moved in {moved.duration_s:.1f} s")
 
 
-def print_benches(benches: Sequence[dict[str, Any]]) -> None:
-    """Prints which benches may join, have joined or have left."""
+def print_benches(benches: Sequence[Membership]) -> None:
+    """Print which benches may join, have joined or were revoked."""
     if not benches:
         print_line("no bench has joined: `calrig bench add NAME` makes a code for the first one")
         return
-    rows = ((b["name"], b["hall"] or "", _standing(b), (b["last_seen_at"] or "")[:19]) for b in benches)
+    rows = ((b.name, b.hall or "", _standing(b), str(b.last_seen_at or "")[:19]) for b in benches)
     print_table(("bench", "hall", "is", "last seen, UTC"), rows, justify="left")
 
 
-def _standing(bench: dict[str, Any]) -> str:
-    if bench["code_until"] is not None:
-        return f"awaited until {bench['code_until'][:16]} UTC"
-    return "revoked" if bench["revoked_at"] is not None else "joined"
+def _standing(bench: Membership) -> str:
+    if bench.code_until is not None:
+        return f"awaited until {bench.code_until:%Y-%m-%d %H:%M} UTC"
+    return "revoked" if bench.revoked_at is not None else "joined"
 
 
-def print_diagnosis(found: dict[str, Any]) -> None:
-    """Prints a diagnosis: verdict, each effect with parameters and evidence, the error before and after."""
+def print_diagnosis(found: Diagnosis) -> None:
+    """Print a diagnosis: verdict, each effect with parameters and evidence, the errors before and after."""
     from calrig.calibration.effects import EFFECTS
 
-    print_line(f"{found['verdict']}: {found['final']['model']}", style="bold")
-    for effect in found["effects"]:
+    print_line(f"{found.verdict}: {found.final.model}", style="bold")
+    for effect in found.effects:
         _print_effect(effect)
     print_line("")
+    base, final, noise = found.base, found.final, found.noise
     rows = [
-        (name, number(found["base"][key], "°"), number(found["final"][key], "°"))
-        for name, key in (
-            ("fit", "fit_rms_deg"),
-            ("held-out poses", "held_out_rms_deg"),
-            ("held-out blocks", "blocked_rms_deg"),
-        )
+        ("fit", number(base.fit_rms_deg, "°"), number(final.fit_rms_deg, "°")),
+        ("held-out poses", number(base.held_out_rms_deg, "°"), number(final.held_out_rms_deg, "°")),
+        ("held-out blocks", number(base.blocked_rms_deg, "°"), number(final.blocked_rms_deg, "°")),
+        ("noise floor", "", number(noise.floor_deg, "°")),
+        ("pure error", "", number(noise.pure_error_deg, "°")),
     ]
-    for name, key in (("noise floor", "floor_deg"), ("pure error", "pure_error_deg")):
-        rows.append((name, "", number(found["noise"].get(key), "°")))
     print_table(("RMS", "before", "after"), rows)
-    print_warnings(found["warnings"])
-    if found["follow_up"] is not None:
-        sigmas = f"{found['follow_up']['separation_sigma']:.1f} standard errors"
-        names = " from ".join(EFFECTS[name].title for name in found["follow_up"]["separates"])
+    print_warnings(found.warnings)
+    if found.follow_up is not None:
+        sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
+        names = " from ".join(EFFECTS[name].title for name in found.follow_up.separates)
         print_line(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
 
 
@@ -308,25 +306,25 @@ def print_gravity(found: dict[str, Any]) -> None:
     print_warnings(found["warnings"])
 
 
-def print_noise(found: dict[str, Any]) -> None:
-    """Prints CONTRACT section 7's noise document: the paper's Table 2 for this unit, then the summary."""
+def print_noise(found: NoiseReport) -> None:
+    """Print CONTRACT section 7's noise report: the paper's Table 2 for this unit, then the summary."""
     from calrig.noise.units import bias_instability, level, white_density
 
     rows = (
         (
             name,
-            _signed(channel["adf_slope"]),
-            _signed(channel["psd_slope"]),
-            _level(name, channel["std"], level),
-            _level(name, _value(channel["coefficients"]["white"]), white_density),
-            _level(name, _value(channel["coefficients"]["flicker"]), bias_instability),
-            channel["colour"] or "",
+            _signed(channel.adf_slope),
+            _signed(channel.psd_slope),
+            level(name, channel.std),
+            _level(name, channel.coefficients.white, white_density),
+            _level(name, channel.coefficients.flicker, bias_instability),
+            channel.colour or "",
         )
-        for name, channel in found["channels"].items()
+        for name, channel in found.channels.items()
     )
     headings = ("channel", "ADEV slope", "PSD slope", "std", "white noise", "flicker", "colour")
     print_table(headings, rows, caption="white noise alone has slopes of −0.5 and 0")
-    _print_sentences(found["summary"])
+    _print_sentences(found.summary)
 
 
 def print_filters(found: dict[str, Any]) -> None:
@@ -346,22 +344,22 @@ def print_filters(found: dict[str, Any]) -> None:
     _print_sentences(found["summary"])
 
 
-def _print_effect(effect: dict[str, Any]) -> None:
-    """Prints an effect of a diagnosis in the catalogue's words."""
+def _print_effect(effect: EffectFound) -> None:
+    """Print an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effects import EFFECTS, covariate_of
     from calrig.calibration.regression import ORIGINS
-    from calrig.calibration.uncertainty import between_runs
 
-    known, covariate = EFFECTS[effect["name"]], covariate_of(effect["covariate"])
-    titles = [known.title, *(EFFECTS[rival].title for rival in effect["confusable_with"])]
+    known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
+    titles = [known.title, *(EFFECTS[rival].title for rival in effect.confusable_with)]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
-    heading = f"{', or '.join(titles)}{between_runs(effect)}"
-    print_line(f"\n{heading} ({effect['verdict']}; {ORIGINS[known.origin]}; {against})")
+    between = f", changed from run {changed.from_} to run {changed.to}" if changed else ""
+    heading = f"{', or '.join(titles)}{between}"
+    print_line(f"\n{heading} ({effect.verdict}; {ORIGINS[known.origin]}; {against})")
     for one in known.parameters:
         if not one.flag:
             unit = covariate.unit if one.unit is None else one.unit
-            print_parameter(one.title, effect["parameters"].get(one.name), unit)
-    for sentence in (*effect["evidence"], effect["remedy"]):
+            print_parameter(one.title, effect.parameters.get(one.name), unit)
+    for sentence in (*effect.evidence, effect.remedy):
         print_sentence(f"  · {sentence}")
 
 
@@ -374,9 +372,5 @@ def _signed(value: float | None, unit: str = "", decimals: int = 2) -> str:
     return "not known" if value is None else f"{value:+z.{decimals}f}{unit}".replace("-", "−")
 
 
-def _level(name: str, value: float | None, words: Callable[[str, float], str]) -> str:
-    return "not known" if value is None else words(name, value)
-
-
-def _value(coefficient: dict[str, Any] | None) -> float | None:
-    return None if coefficient is None else coefficient["value"]
+def _level(name: str, found: Coefficient | None, words: Callable[[str, float], str]) -> str:
+    return "not known" if found is None else words(name, found.value)

@@ -16,7 +16,7 @@ from calrig.cli.running_service import running_service
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.client import Client
+    from calrig.client import Client, PlanDesign
     from calrig.model.plan import Plan
 
 DOING = "designing the plan"
@@ -67,11 +67,11 @@ def plan(
     kept = read_plan_file(keep) if keep else Plan()
     asked = _Asked(target_u, time, rig, unit, trace, sweep, until, kept)
     there = None if config else running_service(server, db)
-    document = _designed_here(asked, db, config) if there is None else _designed_there(there, asked)
+    found = _designed_here(asked, db, config) if there is None else _designed_there(there, asked)
     if as_json:
-        output.print_json(document)
+        output.print_json(found.model_dump(mode="json"))
     else:
-        _print(document)
+        _print(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class _Asked:
     kept: Plan
 
 
-def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
+def _designed_there(there: Client, asked: _Asked) -> PlanDesign:
     from calrig.cli.progress import late_bar
     from calrig.cli.run import require_rig
     from calrig.client import Invalid
@@ -94,7 +94,7 @@ def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
     require_rig(there, asked.rig)
     try:
         with late_bar(DOING) as show:
-            found = there.plan(
+            return there.plan(
                 target_u_deg=asked.target_u_deg,
                 time_s=asked.time_s,
                 rig=asked.rig,
@@ -107,14 +107,15 @@ def _designed_there(there: Client, asked: _Asked) -> dict[str, Any]:
             )
     except Invalid as error:
         raise WorkError(str(error)) from error
-    return found.model_dump(mode="json")
 
 
-def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[str, Any]:
+def _designed_here(asked: _Asked, db: str | None, config: str | None) -> PlanDesign:
     from calrig.analysis.errors import Invalid
     from calrig.analysis.stage_maps import configured_maps
     from calrig.calibration.plan_design import Goals
     from calrig.cli.progress import late_bar
+    from calrig.cli.run import rig_named
+    from calrig.client import PlanDesign
     from calrig.model.plan import Until
     from calrig.runs.plan_designs import DesignRequest, answer, question
     from calrig.settings import load_settings, store_url
@@ -122,10 +123,7 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
     from calrig.store.errors import NoStore
 
     settings = load_settings(config)
-    chosen = next((one for one in settings.rig if asked.rig in (None, one.name)), None)
-    if chosen is None:
-        configured = ", ".join(one.name for one in settings.rig)
-        raise InputError(f"--rig: there is no rig {asked.rig!r}; configured: {configured}")
+    chosen = rig_named(settings, asked.rig)
     ends_at = Until(expanded_uncertainty_deg=asked.target_u_deg) if asked.until else None
     wanted = DesignRequest(
         Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at, asked.sweep
@@ -137,7 +135,7 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> dict[st
         try:
             known = question(wanted, asked.kept, chosen, asked.unit, store, configured_maps(settings))
             with late_bar(DOING) as show:
-                return answer(known, show).document()
+                return PlanDesign.model_validate(answer(known, show).document())
         except Invalid as error:
             raise WorkError(str(error)) from error
 
@@ -148,32 +146,29 @@ def _poses(plan: dict[str, Any]) -> str:
     return f"{len(plan['elevations_deg'])} of {plan['dwell_s']:g} s"
 
 
-def _print(document: dict[str, Any]) -> None:
+def _print(found: PlanDesign) -> None:
     from calrig.cli.output import number, print_sentence, print_table
 
-    expected: dict[str, Any] = document["expected"]
-    limit: dict[str, Any] | None = document["limit"]
+    expected = found.expected
     rows = [
-        ("poses", _poses(document["plan"])),
-        ("duration", f"{expected['duration_s']:.0f} s"),
-        ("lower bound of duration", "–" if limit is None else f"{limit['duration_s']:.0f} s"),
-        ("expanded uncertainty", number(expected["expanded_uncertainty_deg"], "°")),
-        ("bias, standard error", number(expected["bias_std_deg"], "°")),
-        ("scale, standard error", number(expected["scale_std"], "", 6)),
+        ("poses", _poses(found.plan)),
+        ("duration", f"{expected.duration_s:.0f} s"),
+        ("lower bound of duration", f"{found.limit.duration_s:.0f} s"),
+        ("expanded uncertainty", number(expected.expanded_uncertainty_deg, "°")),
+        ("bias, standard error", number(expected.bias_std_deg, "°")),
+        ("scale, standard error", number(expected.scale_std, "", 6)),
     ]
     print_table(("expected", ""), rows)
     shown = [
         (
-            one["title"],
-            "not shown" if one["rms_deg"] is None else f"{one['rms_deg']:.2g}°",
-            ""
-            if one["value"] is None
-            else f"{one['parameter']} {one['value']:.2g} {one['unit'] or ''}".strip(),
+            one.title,
+            "not shown" if one.rms_deg is None else f"{one.rms_deg:.2g}°",
+            "" if one.value is None else f"{one.parameter} {one.value:.2g} {one.unit or ''}".strip(),
         )
-        for one in document["suspects"]
+        for one in found.suspects
     ]
     if shown:
         print_table(("detected with power 80 %", "residual, RMS", "parameter"), shown)
-    for sentence in document["says"]:
+    for sentence in found.says:
         print_sentence(f"· {sentence}")
     print_sentence("To run it: calrig plan … --json > plan.json; calrig run --unit SERIAL --plan plan.json")

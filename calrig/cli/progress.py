@@ -1,8 +1,6 @@
-"""How far something is, on standard error where that is a terminal: a run, or a long analysis.
+"""Progress on standard error, where that is a terminal: of a run, or of a long analysis.
 
-A run as a terminal follows it, whether this process carries it out, a service does, or another program.
-
-Asks on the terminal for the unit to be turned, while the run that waits for it is looked after.
+A run of several mounts asks there for the unit to be rotated.
 """
 
 from __future__ import annotations
@@ -15,20 +13,23 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
 )
+from rich.progress import Progress as Bar
 
 from calrig.errors import WorkError, printable
+
+if TYPE_CHECKING:
+    from calrig.model.run import Mount, Progress
 
 PATIENCE_S = 2.0
 """What takes no longer needs no bar."""
@@ -58,8 +59,8 @@ def run_bar(run: Watched, unit: str) -> Iterator[Callable[[Happened], None]]:
         TextColumn("{task.fields[elevation]}", markup=False),
         TextColumn("{task.fields[left]}", markup=False),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        total = run.progress["poses_total"] or PERCENT
+    with Bar(*columns, console=console, disable=not console.is_terminal) as progress:
+        total = run.progress.poses_total or PERCENT
         bar = progress.add_task("", total=total, elevation="", left="")
 
         def show(event: Happened) -> None:
@@ -103,7 +104,7 @@ def late_bars(patience_s: float = PATIENCE_S) -> Iterator[Callable[[str], Callab
     console = Console(stderr=True)
     begun_s = time.monotonic()
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
-    progress = Progress(*columns, TimeElapsedColumn(), console=console, transient=True)
+    progress = Bar(*columns, TimeElapsedColumn(), console=console, transient=True)
     bar = progress.add_task("", total=None)
     late = threading.Timer(patience_s, progress.start)  # also where the work can tell nothing
 
@@ -177,13 +178,13 @@ class Watched(Protocol):
 
     id: str
     status: str
-    progress: dict[str, Any]
+    progress: Progress
     is_over: bool
 
     def news(self) -> Sequence[Happened]:
         """What happened since the last look; waits for `LOOK_S` at most."""
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> object:
         """The run as the API gives it."""
 
 
@@ -202,8 +203,8 @@ class Followed(Watched, Protocol):
     def resume(self) -> None:
         """Goes on; Refusal where the unit is not turned as it should be."""
 
-    def turn(self, mount_deg: float, mount_axis: str) -> None:
-        """Has the rig's clamp turn the unit; Refusal where it cannot."""
+    def turn(self, wanted: Mount) -> None:
+        """Has the rig's clamp rotate the unit; Refusal where it cannot."""
 
 
 class StopRequest:
@@ -261,7 +262,7 @@ def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> Non
     """Follows a run on the terminal, asks for what it waits for, and prints how it ended.
 
     Args:
-        begin: begins it; a Ctrl-C meanwhile is not lost, but aborts it then.
+        begin: starts it; a Ctrl-C during the start aborts the run once it has started.
         unit: its serial number.
         as_json: whether its document is printed.
 
@@ -275,24 +276,26 @@ def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> Non
     print_end(run.document(), as_json=as_json)
 
 
-def print_end(ended: dict[str, Any], *, as_json: bool) -> None:
+def print_end(ended: object, *, as_json: bool) -> None:
     """Prints a run that has ended: its document, or its figures and its verdict.
 
     Raises:
         WorkError: it was not completed.
     """
     from calrig.cli import output
+    from calrig.client.documents import RunRecord, typed
 
+    run = typed(RunRecord, ended)
     if as_json:
         output.print_json(ended)
     else:
-        output.print_result(ended)
-    if ended["status"] != "completed":
-        why = f": {ended['error']}" if ended["error"] else ""
-        is_told = f"`calrig resume {ended['id']}" in why  # with what it needs to be told
-        is_resumable = ended["status"] == "interrupted" and not is_told
-        on = f"; `calrig resume {ended['id']}` goes on with it" if is_resumable else ""
-        raise WorkError(f"run {ended['id']} {ended['status']}{why}{on}")
+        output.print_result(run)
+    if run.status != "completed":
+        why = f": {run.error}" if run.error else ""
+        is_told = f"`calrig resume {run.id}" in why  # with what it needs to be told
+        is_resumable = run.status == "interrupted" and not is_told
+        on = f"; `calrig resume {run.id}` continues it" if is_resumable else ""
+        raise WorkError(f"run {run.id} {run.status}{why}{on}")
 
 
 BY_CLAMP = "c"
@@ -306,7 +309,7 @@ class MountPrompt:
 
     def __init__(self) -> None:
         self._lines: SimpleQueue[str] = SimpleQueue()
-        self._asked: dict[str, Any] | None = None
+        self._asked: Mount | None = None
         self._is_reading = False
 
     def look(self, run: Followed) -> None:
@@ -315,11 +318,11 @@ class MountPrompt:
         Raises:
             WorkError: standard input has ended: nobody can say that the unit was turned.
         """
-        wanted = run.progress.get("waiting_for") if run.status == "paused" else None
+        wanted = run.progress.waiting_for if run.status == "paused" else None
         if wanted is None:
             self._asked = None
             return
-        to = f"the unit to {wanted['mount_deg']:g}°, its {wanted['mount_axis']} along the stage's axis"
+        to = f"the unit to {wanted.mount_deg:g}°, its {wanted.mount_axis} along the stage's axis"
         if self._asked != wanted:
             self._ask(f"Turn {to}, then press Enter", has_clamp=run.has_clamp)
             self._asked = wanted
@@ -344,10 +347,10 @@ class MountPrompt:
             self._is_reading = True
             threading.Thread(target=lambda: self._lines.put(sys.stdin.readline()), daemon=True).start()
 
-    def _go(self, run: Followed, wanted: dict[str, Any], line: str) -> None:
+    def _go(self, run: Followed, wanted: Mount, line: str) -> None:
         try:
             if line == BY_CLAMP and run.has_clamp:
-                run.turn(wanted["mount_deg"], wanted["mount_axis"])
+                run.turn(wanted)
             run.resume()
         except Refusal as refusal:
             typer.echo(str(refusal), err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,7 +13,7 @@ from calrig.cli.running_service import running_service
 
 if TYPE_CHECKING:
     from calrig.client import Client
-    from calrig.settings import RigSettings
+    from calrig.settings import RigSettings, Settings
 
 
 def rigs(
@@ -35,45 +36,51 @@ def rigs(
     from calrig.cli import output
 
     there = None if config else running_service(server, db)
-    shown = _there(there, scan) if there is not None else _here(config, scan)
+    if there is not None:
+        states = there.rigs()
+        shown: list[object] = [rig.model_dump(mode="json") for rig in states]
+        found, stanza = _scanned_there(there) if scan else ([], "")
+    else:
+        from calrig.settings import load_settings
+
+        settings = load_settings(config)
+        require_drivers(settings, settings.rig)
+        shown = [_configured(rig) for rig in settings.rig]
+        found, stanza = _scanned(settings) if scan else ([], "")
     if as_json:
-        output.print_json(shown)
+        output.print_json({"rigs": shown} | ({"found": found, "stanza": stanza} if scan else {}))
         return
-    (output.print_rigs if there is None else output.print_rigs_there)(shown["rigs"])
+    if there is not None:
+        output.print_rigs_there(states)
+    else:
+        output.print_rigs(settings.rig)
     if scan:
-        output.print_ports(shown["found"], shown["stanza"])
+        output.print_ports(found, stanza)
 
 
-def _there(client: Client, scan: bool) -> dict[str, Any]:
+Found = tuple[Sequence[Mapping[str, Any]], str]
+"""The devices that answer, and their stanza for calrig.toml."""
+
+
+def _scanned_there(client: Client) -> Found:
     from calrig.client.transport import part
 
-    shown: dict[str, Any] = {"rigs": [rig.model_dump(mode="json") for rig in client.rigs()]}
-    if scan:
-        looked = client.post("/api/rigs/scan", {})
-        shown.update({name: part(looked, name) for name in ("found", "stanza")})
-    return shown
+    looked = client.post("/api/rigs/scan", {})
+    return part(looked, "found"), part(looked, "stanza")
 
 
-def _here(config: str | None, scan: bool) -> dict[str, Any]:
-    from calrig.settings import load_settings
+def _scanned(settings: Settings) -> Found:
+    from dataclasses import asdict
 
-    settings = load_settings(config)
-    require_drivers(settings, settings.rig)
-    shown: dict[str, Any] = {"rigs": [_configured(rig) for rig in settings.rig]}
-    if scan:
-        from dataclasses import asdict
+    from calrig.instruments import scan as ports
+    from calrig.instruments.scan import stanza
 
-        from calrig.instruments import scan as ports
-        from calrig.instruments.scan import stanza
-
-        found = ports.scan(settings.ports())
-        known = {rig.name for rig in settings.rig}
-        shown.update(found=[asdict(one) for one in found], stanza=stanza(found, known))
-    return shown
+    found = ports.scan(settings.ports())
+    return [asdict(one) for one in found], stanza(found, {rig.name for rig in settings.rig})
 
 
-def _configured(rig: RigSettings) -> dict[str, Any]:
-    """A rig as it is configured; what is simulated has no driver and no port that could be told."""
+def _configured(rig: RigSettings) -> Mapping[str, object]:
+    """A rig as it is configured; a simulated one has no driver and no port to name."""
     is_simulated = rig.simulated is not None
     parts = {
         name: None if is_simulated or part is None else {"driver": part.driver, "port": part.port}

@@ -1,11 +1,4 @@
-"""`solve`: stage map, mounts and units together.
-
-A joint solution as a person reads it.
-
-A solution of whole units as a person reads it.
-
-Runs solved by a running service, which has them and keeps the solution.
-"""
+"""`solve`: a joint solution of stage map, mounts and units, of files or stored runs, and its tables."""
 
 from __future__ import annotations
 
@@ -29,7 +22,8 @@ if TYPE_CHECKING:
     from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.calibration.separation import MountedPoses
     from calrig.client import Client, RunRecord
-    from calrig.store.solved import Frame, Solved
+    from calrig.model.solution import Frame, SolutionDocument, SolvedUnit, SolvedValue
+    from calrig.store.solved import Solved
 
 
 NOT_DRAWN = "solve: --plot is of units clamped by one face: leave it out, nothing was solved"
@@ -106,6 +100,7 @@ def solve(
     from calrig.analysis.solutions import SolutionRequest
     from calrig.cli import output
     from calrig.figures.files import writer_of
+    from calrig.model.solution import SolutionDocument
 
     draw = None if plot is None else writer_of(plot)
     files = [source for source in sources if names_a_file(source)]
@@ -127,7 +122,7 @@ def solve(
         lots, said = _of_files(files, unit or [])
         found = _answer(_of_lots(lots, wanted), is_drawn=draw is not None)
     elif (there := running_service(server, db)) is not None:
-        found = solved_there(there, wanted, with_files=out is not None, with_poses=draw is not None)
+        found = _solved_there(there, wanted, with_files=out is not None, with_poses=draw is not None)
     else:
         found = _answer(_of_runs(wanted, db), is_drawn=draw is not None)
     document = {**found.document, "warnings": [*said, *found.document["warnings"]]}
@@ -139,10 +134,9 @@ def solve(
         draw("Stage and units solved together", joint_figures(document, found.poses))
     if as_json:
         output.print_json(document)
-    elif found.is_whole:
-        print_whole(document)
     else:
-        print_solution(document)
+        print_ = _print_whole if found.is_whole else _print_solution
+        print_(SolutionDocument.model_validate(document))
 
 
 def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
@@ -220,90 +214,78 @@ def _write(folder: Path, found: Solved) -> None:
         raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error
 
 
-def print_solution(found: dict[str, Any]) -> None:
-    """Prints a joint solution: what an elevation is worth, units, mounts, map, the error before and after."""
-    print_verdict(found)
-    for unit in found["units"]:
-        worst = max(unit["elevation_std_deg"]["std_deg"])
-        low, high = unit["range_deg"]
+def _print_solution(found: SolutionDocument) -> None:
+    """Print a joint solution: elevation uncertainty, units, mounts, stage map, errors before and after."""
+    _print_verdict(found)
+    for unit in found.units:
+        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
         of_what = _measurand(unit)
-        print_line(f"\nunit {unit['unit']}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°{of_what}")
-        for name, parameter in unit["parameters"].items():
+        print_line(f"\nunit {unit.unit}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°{of_what}")
+        for name, parameter in unit.parameters.items():
             print_parameter(name, parameter)
     print_line("")
     mounts = (
-        (one["mount"], one["unit"], f"{one['mount_deg']:g}°", *_with_std(one["angle_deg"], "°"))
-        for one in found["mounts"]
+        (one.mount, one.unit, f"{one.mount_deg:g}°", *_with_std(one.angle_deg, "°")) for one in found.mounts
     )
     print_table(("mount", "unit", "stated", "found", "±"), mounts)
-    print_stage(found)
-    if found["advice"] is not None:
-        print_line(f"recommended: {found['advice']['says']}")
+    _print_stage(found)
+    if found.advice is not None:
+        print_line(f"recommended: {found.advice.says}")
 
 
-def print_verdict(found: dict[str, Any]) -> None:
-    """Whether stage and units are separable, and the noise."""
-    verdict = f"stage and units are {'' if found['separable'] else 'not '}separable"
-    print_line(f"{verdict}; a pose's noise is {number(found['noise']['std_deg'], '°')}", style="bold")
+def _print_verdict(found: SolutionDocument) -> None:
+    verdict = f"stage and units are {'' if found.separable else 'not '}separable"
+    print_line(f"{verdict}; a pose's noise is {number(found.noise['std_deg'], '°')}", style="bold")
 
 
-def print_stage(found: dict[str, Any]) -> None:
-    """The stage's map, the error before and after, and what a person should know of it."""
-    stage = found["stage"]
-    error, orders = stage["map"]["error_deg"], len(stage["harmonics"])
+def _print_stage(found: SolutionDocument) -> None:
+    """Print the stage map, the errors before and after, and warnings."""
+    error, orders = found.stage.map.error_deg, len(found.stage.harmonics)
     print_line(f"map of the stage: {min(error):+.3f}° to {max(error):+.3f}°, {orders} orders")
     for name in ("axis_dip_deg", "backlash_deg"):
-        if (parameter := stage.get(name)) is not None:
-            print_parameter(name, parameter)
-    before, after = (number(found[model]["held_out_rms_deg"], "°") for model in ("before", "final"))
+        print_parameter(name, getattr(found.stage, name, None))
+    before, after = (number(one.held_out_rms_deg, "°") for one in (found.before, found.final))
     print_line(f"held-out RMS: {before} without the map, {after} with the map")
-    print_warnings(found["warnings"])
+    print_warnings(found.warnings)
 
 
-def _measurand(unit: dict[str, Any]) -> str:
+def _measurand(unit: SolvedUnit) -> str:
     level = (unit["level"] or {"deg": {"std": None}})["deg"]
     if level["std"] is None:
         return ", less its mean"
     return f"; its level {level['value']:+.3f}° ± {level['std']:.2g}° is in it"
 
 
-def _with_std(parameter: dict[str, float], unit: str) -> tuple[str, str]:
-    return number(parameter["value"], unit), number(parameter["std"], unit)
+def _with_std(parameter: SolvedValue, unit: str) -> tuple[str, str]:
+    return number(parameter.value, unit), number(parameter.std, unit)
 
 
 AXES = "xyz"
 
 
-def print_whole(found: dict[str, Any]) -> None:
-    """Prints accelerometers, gyros, mounts, map, the error before and after."""
-    print_verdict(found)
-    for unit in found["units"]:
+def _print_whole(found: SolutionDocument) -> None:
+    """Print accelerometers, gyros, mounts, stage map, errors before and after."""
+    _print_verdict(found)
+    for unit in found.units:
         print_line("")
         _print_accelerometer(unit)
-        if unit["gyro"] is not None:
-            _print_gyro(unit["gyro"])
-        worst, (low, high) = max(unit["elevation_std_deg"]["std_deg"]), unit["range_deg"]
+        if unit.gyro is not None:
+            _print_gyro(unit.gyro)
+        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
         print_line(f"elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°, less its mean")
     print_line("")
     mounts = (
-        (
-            one["mount"],
-            one["unit"],
-            one["mount_axis"],
-            f"{one['mount_deg']:g}°",
-            number(one["angle_deg"]["value"], "°"),
-            number(one["angle_deg"]["std"], "°"),
-        )
-        for one in found["mounts"]
+        (one.mount, one.unit, one["mount_axis"], f"{one.mount_deg:g}°", *_with_std(one.angle_deg, "°"))
+        for one in found.mounts
     )
     print_table(("mount", "unit", "axis", "stated", "found", "±"), mounts)
-    print_stage(found)
+    _print_stage(found)
 
 
-def _print_accelerometer(unit: dict[str, Any]) -> None:
-    found = unit["accelerometer"]
+def _print_accelerometer(unit: SolvedUnit) -> None:
+    found = unit.accelerometer
     if found is None:
-        print_line(f"unit {unit['unit']}: its accelerometer is not told")
+        print_line(f"unit {unit.unit}: its accelerometer is not known")
         return
     stds = [found["covariance"][k][k] ** 0.5 for k in range(12)]
     rows = (
@@ -317,7 +299,7 @@ def _print_accelerometer(unit: dict[str, Any]) -> None:
     )
     headings = ("", "offset, mg", *(f"matrix {axis}" for axis in AXES), "noise, mg")
     frame = "the sensor's own frame" if found["frame"] == "sensor" else "the frame of its faces"
-    title = f"unit {unit['unit']}: accelerometer, in {frame}"
+    title = f"unit {unit.unit}: accelerometer, in {frame}"
     print_table(headings, rows, title=title, caption="true = matrix·(raw − offset)")
 
 
@@ -355,18 +337,10 @@ KEPT_BESIDE = ("id", "created_at", "by", "rig", "runs", "linear", "periods_deg",
 """What an answer has beside the document of CONTRACT section 8."""
 
 
-def solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, with_poses: bool) -> Solved:
-    """The solution as the service has kept it; says on standard error where.
+def _solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, with_poses: bool) -> Solved:
+    """Return the solution that a service has made and stored; say on standard error where.
 
-    Args:
-        client: of the service.
-        wanted: runs; their ids may be shortened.
-        with_files: whether calibrations and stage map are wanted.
-        with_poses: whether what each pose leaves is.
-
-    Raises:
-        InputError: what was asked is wrong, or the poses cannot be solved.
-        WorkError: the service cannot be reached or refuses.
+    `with_files` adds calibrations and stage map, `with_poses` the pose residuals.
     """
     from calrig.store.solved import Solved
 

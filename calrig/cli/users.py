@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 from urllib.parse import quote
 
 import typer
@@ -15,7 +15,6 @@ from calrig.errors import WorkError
 if TYPE_CHECKING:
     from calrig.client import Client
     from calrig.store import Store
-    from calrig.store.users import User
 
 app = typer.Typer(
     cls=Listed,
@@ -110,17 +109,20 @@ def disable(name: Name, db: Db = None, server: Server = None) -> None:
 def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
     """List everybody who is known, or was."""
     from calrig.cli.output import print_json, print_users
+    from calrig.model.service import KnownUser
 
     if server:
-        users = _client(server).get("/api/users")
+        from calrig.client.documents import each
+
+        users = each(KnownUser, _client(server).get("/api/users"))
     else:
         from calrig.settings import store_url
         from calrig.store import Store
 
         with Store.open(store_url(db), writer=None) as store:
-            users = [_shown(user) for user in store.users.all()]
+            users = [KnownUser.model_validate(user) for user in store.users.all()]
     if as_json:
-        print_json(users)
+        print_json([user.model_dump(mode="json") for user in users])
     else:
         print_users(users)
 
@@ -144,14 +146,3 @@ def _store(db: str | None) -> Store:
 
 def _path(name: str) -> str:
     return f"/api/users/{quote(name, safe='')}"
-
-
-def _shown(user: User) -> dict[str, Any]:
-    """As the service shows one."""
-    return {
-        "name": user.name,
-        "role": user.role,
-        "has_token": user.token_sha256 is not None,
-        "created_at": user.created_at.isoformat(),
-        "disabled_at": user.disabled_at and user.disabled_at.isoformat(),
-    }

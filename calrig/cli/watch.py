@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -52,7 +52,7 @@ class RunElsewhere:
 
     def __init__(self, store: Store, run: Run, is_written: Callable[[], bool]) -> None:
         self.id, self.is_over = run.id, False
-        self.status, self.progress = str(run.status), run.progress.model_dump()
+        self.status, self.progress = str(run.status), run.progress
         self._store, self._seen, self._is_written = store, 0, is_written
 
     def news(self) -> Sequence[Event]:
@@ -68,18 +68,18 @@ class RunElsewhere:
         run = stored_run(self._store, self.id)
         if run.status not in AT_REST and not is_written:
             raise WorkError(
-                f"run {self.id} is {run.status} in the store, and no program is there that carries it out; "
-                f"`calrig resume {self.id}` goes on with it"
+                f"run {self.id} is {run.status} in the store, but no process executes it; continue it with "
+                f"`calrig resume {self.id}`"
             )
         events = self._store.events.after(self.id, self._seen)
         self._seen = events[-1].seq if events else self._seen
-        self.status, self.progress = str(run.status), run.progress.model_dump()
+        self.status, self.progress = str(run.status), run.progress
         self.is_over = run.status in AT_REST
         if not events and not self.is_over:
             time.sleep(LOOK_S)
         return events
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> object:
         """As the API gives it."""
         from calrig.analysis.stored_runs import stored_run
         from calrig.api.models import RunAnswer

@@ -24,188 +24,7 @@ if TYPE_CHECKING:
     from calrig.model.plan import Plan
 
 
-class Studies(Transport):
-    """A service's long work: whoever stops waiting ends it there."""
-
-    def import_poses(
-        self,
-        file: str | Path,
-        unit: str,
-        *,
-        rig: str | None = None,
-        sent: Told = ignore_progress,
-        told: Told = ignore_progress,
-    ) -> Run:
-        """A run of a CSV of poses.
-
-        Args:
-            file: its path; it is read as it is sent.
-            unit: serial number.
-            rig: where it was measured.
-            sent: is told the share that is sent.
-            told: is told the share that is read.
-
-        Raises:
-            Invalid: the file is no such CSV; says line and column.
-        """
-        fields = {"unit": unit} | ({} if rig is None else {"rig": rig})
-        return Run(self, typed(RunRecord, self._of_file("/api/imports", file, fields, sent, told)))
-
-    def noise(
-        self,
-        file: str | Path,
-        *,
-        rate_hz: float | None = None,
-        accel_range_g: float | None = None,
-        gyro_range_dps: float | None = None,
-        sent: Told = ignore_progress,
-        told: Told = ignore_progress,
-    ) -> NoiseStudy:
-        """The noise of a sensor at rest; the service keeps what was found, and not the log.
-
-        Args:
-            file: path of a CSV with a row a sample.
-            rate_hz: samples a second; goes before the log's own time.
-            accel_range_g: full scale of the accelerometer's raw counts.
-            gyro_range_dps: likewise of the gyro's.
-            sent: is told the share that is sent.
-            told: is told the share that is analysed.
-
-        Raises:
-            Invalid: the file is no such log; says line and column.
-        """
-        fields = _given(rate_hz, accel_range_g, gyro_range_dps)
-        return typed(NoiseStudy, self._of_file("/api/noise", file, fields, sent, told))
-
-    def filters(
-        self,
-        file: str | Path,
-        *,
-        rate_hz: float | None = None,
-        accel_range_g: float | None = None,
-        gyro_range_dps: float | None = None,
-        sent: Told = ignore_progress,
-        told: Told = ignore_progress,
-    ) -> FiltersStudy:
-        """Filters side by side on a log with rest and motion; arguments and errors as of `noise`."""
-        fields = _given(rate_hz, accel_range_g, gyro_range_dps)
-        return typed(FiltersStudy, self._of_file("/api/filters", file, fields, sent, told))
-
-    def diagnose(self, run_id: str, *more: str, told: Told = ignore_progress) -> Diagnosis:
-        """As `Run.diagnose`, by the run's id."""
-        return Run.of_id(self, run_id).diagnose(*more, told=told)
-
-    def solve(
-        self,
-        *runs: str,
-        units: Sequence[str] = (),
-        rig: str | None = None,
-        linear: bool = False,
-        periods_deg: Sequence[float] = (),
-        seat_std_deg: float | None = None,
-        frame: Frame = "sensor",
-        limits_deg: tuple[float, float] | None = None,
-        told: Told = ignore_progress,
-    ) -> Solution:
-        """Solves the stage's map, the mounts and the units of runs together; the service keeps it.
-
-        Args:
-            runs: ids.
-            units: serial numbers: all their calibrations that count.
-            rig: alone, all calibrations that count on it.
-            linear: whether the units have no quadratic and cubic terms.
-            periods_deg: of gears, where somebody knows them.
-            seat_std_deg: how far one clamping of a face scatters from the next, likewise.
-            frame: of units clamped by several faces, whose their matrix is.
-            limits_deg: of the stage, which advice keeps to; without them those of the last run.
-            told: is told the share that is done, where the service can say.
-        """
-        body = {
-            "runs": list(runs),
-            "units": list(units),
-            "rig": rig,
-            "linear": linear,
-            "periods_deg": list(periods_deg),
-            "seat_std_deg": seat_std_deg,
-            "frame": frame,
-            "limits_deg": limits_deg,
-        }
-        return typed(Solution, outcome(self, self.post("/api/solve?wait=false", body), told))
-
-    def _of_file(self, path: str, file: str | Path, fields: Mapping[str, str], sent: Told, told: Told) -> Any:
-        return outcome(self, self.upload(f"{path}?wait=false", Path(file), fields, sent), told)
-
-
-def _given(
-    rate_hz: float | None, accel_range_g: float | None, gyro_range_dps: float | None
-) -> dict[str, str]:
-    of_log = {"rate_hz": rate_hz, "accel_range_g": accel_range_g, "gyro_range_dps": gyro_range_dps}
-    return {name: str(value) for name, value in of_log.items() if value is not None}
-
-
-class Issued(Transport):
-    """Documents of units."""
-
-    def compare(self, *units: str) -> Comparison:
-        """Units side by side; all of them without any."""
-        query = urlencode([("unit", unit) for unit in units])
-        return typed(Comparison, self.get(f"/api/compare?{query}"))
-
-    def calibration(self, unit: str, revision: int | None = None) -> Calibration:
-        """A unit's calibration, ready to be applied to readings: the one in force, or the revision."""
-        from calrig.export.calibration_document import checked
-        from calrig.loaded import Calibration
-
-        path = _calibration(unit, revision)
-        return Calibration(checked(self.get(path), self.server + path))
-
-    def calibrations(self, unit: str) -> list[Revision]:
-        """Every revision that was issued, the newest first."""
-        return each(Revision, self.get(f"{_calibration(unit)}s"))
-
-    def exported(self, unit: str, form: str, revision: int | None = None) -> str:
-        """A calibration as it was issued (`json`), or made of it for another program.
-
-        Args:
-            unit: serial number.
-            form: `c-header`, `px4` and others that `calrig export --format` has.
-            revision: else the one in force.
-
-        Raises:
-            Refused: there is none, or that form cannot hold it.
-        """
-        return self.text(_calibration(unit, revision, form))
-
-    def certificate(
-        self, unit: str, form: Literal["pdf", "dcc"] = "pdf", revision: int | None = None
-    ) -> bytes:
-        """The certificate of a calibration: for people, or PTB's XML for programs.
-
-        Raises:
-            Refused: there is none, or the service cannot make such a one (501).
-        """
-        return b"".join(self.pieces(_calibration(unit, revision, form)))
-
-    def archive(self, unit: str, file: str | Path) -> int:
-        """All that stands behind a unit, a zip that `calrig verify` checks, into a file; gives its bytes.
-
-        Raises:
-            InputError: the file is there, or cannot be made.
-            Refused: there is no such unit; no file is left then, nor where the line breaks.
-        """
-        from calrig.export.new_file import write_new
-
-        return write_new(Path(file), self.pieces(f"/api/units/{quote(unit, safe='')}/archive"))
-
-
-def _calibration(unit: str, revision: int | None = None, form: str | None = None) -> str:
-    wanted = {"revision": revision, "format": form}
-    query = urlencode({key: value for key, value in wanted.items() if value is not None})
-    path = f"/api/units/{quote(unit, safe='')}/calibration"
-    return f"{path}?{query}" if query else path
-
-
-class Client(Studies, Issued):
+class Client(Transport):
     """The service at an address: `Client("http://lab-pc:8000").calibrate("AS-0042").result.bias_deg`.
 
     It may be used from several threads. Errors are `calrig.client.ServiceError`, in the service's words.
@@ -241,8 +60,13 @@ class Client(Studies, Issued):
             Refused: the rig is busy or does not exist.
             Invalid: the plan or the serial number is wrong.
         """
-        said: dict[str, Any] = {"rig": rig, "operator": operator, "note": note, "stage_at_deg": stage_at_deg}
-        body: dict[str, Any] = {
+        said: dict[str, object] = {
+            "rig": rig,
+            "operator": operator,
+            "note": note,
+            "stage_at_deg": stage_at_deg,
+        }
+        body: dict[str, object] = {
             "unit": unit,
             **{key: value for key, value in said.items() if value is not None},
         }
@@ -323,13 +147,13 @@ class Client(Studies, Issued):
         Raises:
             Invalid: no plan reaches it; says what would.
         """
-        wanted: dict[str, Any] = {
+        wanted: dict[str, object] = {
             "rig": rig,
             "target_u_deg": target_u_deg,
             "time_s": time_s,
             "until": until and dict(until),
         }
-        body: dict[str, Any] = {
+        body: dict[str, object] = {
             "unit": unit,
             "trace": trace,
             "sweep": sweep,
@@ -338,6 +162,179 @@ class Client(Studies, Issued):
         if keep is not None:
             body["plan"] = _plain(keep)
         return typed(PlanDesign, outcome(self, self.post("/api/plans/design?wait=false", body), told))
+
+    def import_poses(
+        self,
+        file: str | Path,
+        unit: str,
+        *,
+        rig: str | None = None,
+        sent: Told = ignore_progress,
+        told: Told = ignore_progress,
+    ) -> Run:
+        """A run of a CSV of poses.
+
+        Args:
+            file: its path; it is read as it is sent.
+            unit: serial number.
+            rig: where it was measured.
+            sent: is told the share that is sent.
+            told: is told the share that is read.
+
+        Raises:
+            Invalid: the file is no such CSV; says line and column.
+        """
+        fields = {"unit": unit} | ({} if rig is None else {"rig": rig})
+        return Run(self, typed(RunRecord, self._of_file("/api/imports", file, fields, sent, told)))
+
+    def noise(
+        self,
+        file: str | Path,
+        *,
+        rate_hz: float | None = None,
+        accel_range_g: float | None = None,
+        gyro_range_dps: float | None = None,
+        sent: Told = ignore_progress,
+        told: Told = ignore_progress,
+    ) -> NoiseStudy:
+        """The noise of a sensor at rest; the service keeps what was found, and not the log.
+
+        Args:
+            file: path of a CSV with a row a sample.
+            rate_hz: samples a second; goes before the log's own time.
+            accel_range_g: full scale of the accelerometer's raw counts.
+            gyro_range_dps: full scale of the gyro's raw counts.
+            sent: is told the share that is sent.
+            told: is told the share that is analysed.
+
+        Raises:
+            Invalid: the file is no such log; says line and column.
+        """
+        fields = _given(rate_hz, accel_range_g, gyro_range_dps)
+        return typed(NoiseStudy, self._of_file("/api/noise", file, fields, sent, told))
+
+    def filters(
+        self,
+        file: str | Path,
+        *,
+        rate_hz: float | None = None,
+        accel_range_g: float | None = None,
+        gyro_range_dps: float | None = None,
+        sent: Told = ignore_progress,
+        told: Told = ignore_progress,
+    ) -> FiltersStudy:
+        """Filters side by side on a log with rest and motion; arguments and errors as of `noise`."""
+        fields = _given(rate_hz, accel_range_g, gyro_range_dps)
+        return typed(FiltersStudy, self._of_file("/api/filters", file, fields, sent, told))
+
+    def diagnose(self, run_id: str, *more: str, told: Told = ignore_progress) -> Diagnosis:
+        """As `Run.diagnose`, by the run's id."""
+        return Run.of_id(self, run_id).diagnose(*more, told=told)
+
+    def solve(
+        self,
+        *runs: str,
+        units: Sequence[str] = (),
+        rig: str | None = None,
+        linear: bool = False,
+        periods_deg: Sequence[float] = (),
+        seat_std_deg: float | None = None,
+        frame: Frame = "sensor",
+        limits_deg: tuple[float, float] | None = None,
+        told: Told = ignore_progress,
+    ) -> Solution:
+        """Solves the stage's map, the mounts and the units of runs together; the service keeps it.
+
+        Args:
+            runs: ids.
+            units: serial numbers: all their calibrations that count.
+            rig: alone, all calibrations that count on it.
+            linear: whether the units have no quadratic and cubic terms.
+            periods_deg: known periods of gears.
+            seat_std_deg: repeatability (standard deviation) of clamping a face, where it is known.
+            frame: of units clamped by several faces, whose their matrix is.
+            limits_deg: of the stage, which advice keeps to; without them those of the last run.
+            told: is told the share that is done, where the service can say.
+        """
+        body = {
+            "runs": list(runs),
+            "units": list(units),
+            "rig": rig,
+            "linear": linear,
+            "periods_deg": list(periods_deg),
+            "seat_std_deg": seat_std_deg,
+            "frame": frame,
+            "limits_deg": limits_deg,
+        }
+        return typed(Solution, outcome(self, self.post("/api/solve?wait=false", body), told))
+
+    def _of_file(self, path: str, file: str | Path, fields: Mapping[str, str], sent: Told, told: Told) -> Any:
+        return outcome(self, self.upload(f"{path}?wait=false", Path(file), fields, sent), told)
+
+    def compare(self, *units: str) -> Comparison:
+        """Units side by side; all of them without any."""
+        query = urlencode([("unit", unit) for unit in units])
+        return typed(Comparison, self.get(f"/api/compare?{query}"))
+
+    def calibration(self, unit: str, revision: int | None = None) -> Calibration:
+        """A unit's calibration, ready to be applied to readings: the one in force, or the revision."""
+        from calrig.export.calibration_document import checked
+        from calrig.loaded import Calibration
+
+        path = _calibration(unit, revision)
+        return Calibration(checked(self.get(path), self.server + path))
+
+    def calibrations(self, unit: str) -> list[Revision]:
+        """Every revision that was issued, the newest first."""
+        return each(Revision, self.get(f"{_calibration(unit)}s"))
+
+    def exported(self, unit: str, form: str, revision: int | None = None) -> str:
+        """A calibration as it was issued (`json`), or made of it for another program.
+
+        Args:
+            unit: serial number.
+            form: `c-header`, `px4` and others that `calrig export --format` has.
+            revision: else the one in force.
+
+        Raises:
+            Refused: there is none, or that form cannot hold it.
+        """
+        return self.text(_calibration(unit, revision, form))
+
+    def certificate(
+        self, unit: str, form: Literal["pdf", "dcc"] = "pdf", revision: int | None = None
+    ) -> bytes:
+        """The certificate of a calibration: for people, or PTB's XML for programs.
+
+        Raises:
+            Refused: there is none, or the service cannot make such a one (501).
+        """
+        return b"".join(self.pieces(_calibration(unit, revision, form)))
+
+    def archive(self, unit: str, file: str | Path) -> int:
+        """All that stands behind a unit, a zip that `calrig verify` checks, into a file; gives its bytes.
+
+        Raises:
+            InputError: the file is there, or cannot be made.
+            Refused: there is no such unit; no file is left then, nor where the line breaks.
+        """
+        from calrig.export.new_file import write_new
+
+        return write_new(Path(file), self.pieces(f"/api/units/{quote(unit, safe='')}/archive"))
+
+
+def _given(
+    rate_hz: float | None, accel_range_g: float | None, gyro_range_dps: float | None
+) -> dict[str, str]:
+    of_log = {"rate_hz": rate_hz, "accel_range_g": accel_range_g, "gyro_range_dps": gyro_range_dps}
+    return {name: str(value) for name, value in of_log.items() if value is not None}
+
+
+def _calibration(unit: str, revision: int | None = None, form: str | None = None) -> str:
+    wanted = {"revision": revision, "format": form}
+    query = urlencode({key: value for key, value in wanted.items() if value is not None})
+    path = f"/api/units/{quote(unit, safe='')}/calibration"
+    return f"{path}?{query}" if query else path
 
 
 def _plain(plan: Plan | PlanDesign | Mapping[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ AGAIN_S = 0.5
 AWAY = frozenset({None, 502, 503, 504})
 """No answer, or one of a proxy whose service is not there."""
 PATIENCE_S = 120.0
-"""How long a service may be away: it may be started anew meanwhile."""
+"""How long a service may be unreachable, such as during a restart."""
 
 
 Away = Callable[[ServiceError], None]
@@ -110,7 +110,7 @@ def outcome(link: Transport, answer: Any, told: Told = ignore_progress) -> Any:
 
     Args:
         link: to the service.
-        answer: as it came.
+        answer: of the call.
         told: the share that is done, where the work can say.
 
     Raises:
@@ -126,7 +126,7 @@ def outcome(link: Transport, answer: Any, told: Told = ignore_progress) -> Any:
             nap(LOOK_S)
             job = typed(JobState, link.get(f"/api/jobs/{job.id}"))
             told(job.fraction or 0.0)
-    except BaseException as left:  # whoever does not wait any more does not want it done
+    except BaseException as left:  # a caller that stops waiting does not need the result
         with suppress(ServiceError):
             ended = typed(JobState, link.delete(f"/api/jobs/{job.id}"))
             if ended.state == "done":

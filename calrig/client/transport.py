@@ -92,7 +92,7 @@ PATIENCE_S = 30.0
 """Without a byte; a stream that has nothing to tell sends a comment every 12 s."""
 MOST_REDIRECTIONS = 10
 HEADERS = {"Connection": "close", "Accept-Encoding": "identity"}
-"""A connection for each call, so that none of them finds its connection closed meanwhile."""
+"""A connection for each call, so that no call finds its connection closed by the service."""
 
 
 class Transport:
@@ -265,7 +265,7 @@ def part(answer: Any, name: str) -> Any:
     """A field of an answer.
 
     Raises:
-        Unreachable: it has none: whoever answers is not calrig.
+        Unreachable: it has none, so the answer is not calrig's.
     """
     try:
         return answer[name]

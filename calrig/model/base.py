@@ -18,7 +18,7 @@ class Model(BaseModel):
         frozen=True,
         extra="ignore",
         from_attributes=True,
-        defer_build=True,  # a command that validates few of them starts sooner
+        defer_build=True,  # a command that validates few of them starts sooner; pydantic locks the build
         json_schema_extra={"additionalProperties": False},  # an answer has these fields and no others
         json_schema_serialization_defaults_required=True,
     )

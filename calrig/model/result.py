@@ -101,12 +101,12 @@ class RangeErrors:
         covariance: of bias and scale, type A; None where too few poses tell.
         freedom: degrees of freedom of the scatter that it is from.
         expanded_uncertainty_deg: of one calibrated elevation; None where the reference is not known.
-        error_expanded_uncertainty_deg: of the errors below, which are not their own uncertainty: the noise of
-            a reading stands in it where that of an elevation has all that is left. None likewise.
+        error_expanded_uncertainty_deg: of the errors below: it contains the noise of a reading, where that of
+            an elevation contains the whole residual. None where the reference is not known.
         coverage_factor: its k, for the probability `coverage`.
         elevation_deg: (m,) in the middle of stretches of the range, ascending.
         lowest_error_deg: (m,) of the poses in each stretch, calibrated elevation less θ.
-        highest_error_deg: (m,) likewise.
+        highest_error_deg: (m,) of the same poses.
         mean_error_deg: over the range; what a fit leaves has about none, what is verified may.
     """
 
@@ -144,7 +144,7 @@ class Result(FittedLine):
     temperature_c: Extremes | None
     gyro: Gyro
     reference: ReferenceFigures | None = None  # of runs stored before it was computed: null
-    over_range: RangeErrors | None = None  # likewise
+    over_range: RangeErrors | None = None  # null in runs stored before it was computed
     stopped_by: StoppedBy = "plan"
     doubts: list[Doubt] = Field(default=[])  # unset: not kept, since the run made no draft or is an old one
     reference_says: str | None = Field(

@@ -13,13 +13,13 @@ from calrig.model.result import Result
 Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
 
 UNFINISHED: tuple[Status, ...] = ("queued", "running", "paused")
-"""Some thread of a living program carries the run out."""
+"""A thread of a running program executes the run."""
 
 TERMINAL: tuple[Status, ...] = ("completed", "failed", "aborted")
 """Nothing more happens to the run; its finished_at is set."""
 
 AT_REST: tuple[Status, ...] = (*TERMINAL, "interrupted")
-"""Nobody carries the run out: it has ended for good, or was interrupted and can be resumed."""
+"""No process executes the run: it has ended, or was interrupted and can be resumed."""
 
 
 class Mount(Model):

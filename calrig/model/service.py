@@ -1,4 +1,4 @@
-"""What a service reports of itself: its rigs and its jobs."""
+"""What a service reports of itself: its rigs, jobs, users and benches."""
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
@@ -41,3 +41,30 @@ class JobState(Model):
     error_status: int | None = Field(
         default=None, description="Status with which its call would have answered the error."
     )
+
+
+Role = Literal["viewer", "operator", "releaser", "admin"]
+"""Each may do what those before it may."""
+
+
+class KnownUser(Model):
+    """A user, enabled or disabled."""
+
+    name: str
+    role: Role
+    has_token: bool
+    created_at: datetime
+    disabled_at: datetime | None
+
+
+class Membership(Model):
+    """A bench that may join, has joined or was revoked; times are null until then."""
+
+    name: str
+    hall: str | None
+    code_until: datetime | None = Field(
+        description="Until when a code waits to be used; null where none does."
+    )
+    enrolled_at: datetime | None
+    revoked_at: datetime | None
+    last_seen_at: datetime | None

@@ -94,6 +94,23 @@ class HeldOutRms(_Part):
     held_out_rms_deg: float | None
 
 
+class SolutionDocument(_Part):
+    """CONTRACT section 8."""
+
+    units: list[SolvedUnit]
+    stage: StageErrors
+    mounts: list[SolvedMount]
+    separable: bool
+    advice: MountAdvice | None
+    held_out: dict[str, Any]
+    before: HeldOutRms
+    final: HeldOutRms
+    noise: dict[str, float]
+    level_known: bool
+    level_std_deg: float | None
+    warnings: list[str]
+
+
 class SolutionBasis(Model):
     """The id of a stored solution, and what it was computed from."""
 
@@ -117,23 +134,10 @@ class ListedSolution(SolutionBasis):
     final: HeldOutRms
 
 
-class Solution(SolutionBasis, _Part):
+class Solution(SolutionBasis, SolutionDocument):
     """CONTRACT section 8, and what it was computed from."""
 
-    model_config = ConfigDict(extra="allow", json_schema_extra={"additionalProperties": True})
-
-    units: list[SolvedUnit]
-    stage: StageErrors
-    mounts: list[SolvedMount]
-    separable: bool
-    advice: MountAdvice | None
-    held_out: dict[str, Any]
-    before: HeldOutRms
-    final: HeldOutRms
-    noise: dict[str, float]
-    level_known: bool
-    level_std_deg: float | None
-    warnings: list[str]
+    model_config = SolutionDocument.model_config
 
 
 class PoseResiduals(Model):
@@ -144,3 +148,17 @@ class PoseResiduals(Model):
     on_map_deg: list[float]
     before_deg: list[float]
     left_deg: list[float]
+
+
+class ErrorMap(Model):
+    """Mean error of a rig: elevation less dial, by the dial's angle and approach, and the number of units.
+
+    Empty where it cannot be computed yet; `says` tells what would help, or what it was computed from.
+    """
+
+    stage_deg: list[float]
+    approach: list[int]
+    error_deg: list[float]
+    std_deg: list[float]
+    units: int
+    says: str

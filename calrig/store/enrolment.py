@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from sqlmodel import Session, select
 
+from calrig.model.service import Membership
 from calrig.store.bench_tables import BENCH_NAME, BenchTable
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused
@@ -22,25 +22,16 @@ class WrongCode(Refused):
     """No bench may join by this code."""
 
 
-@dataclass(frozen=True, slots=True)
-class Membership:
-    """A bench that may join, has joined, or has left; times are null until then."""
-
-    name: str
-    hall: str | None
-    code_until: datetime | None
-    enrolled_at: datetime | None
-    revoked_at: datetime | None
-    last_seen_at: datetime | None
-
-
 class Enrolment(Repository):
     """Which benches there are. Each change goes into the trail in the same transaction."""
 
     def benches(self) -> list[Membership]:
         """Every bench by name, those that were revoked as well."""
         with self._database.reading() as session:
-            return [_membership(row) for row in session.exec(select(BenchTable).order_by(BenchTable.name))]
+            return [
+                Membership.model_validate(row)
+                for row in session.exec(select(BenchTable).order_by(BenchTable.name))
+            ]
 
     def add(
         self, name: str, hall: str | None = None, *, who: str | None = None, now: datetime | None = None
@@ -68,7 +59,7 @@ class Enrolment(Repository):
             row.hall = hall or row.hall
             row.code_sha256, row.code_until = token_digest(code), now + CODE_LASTS
             append(session, Act("bench_added", who=who, detail={"bench": name, "hall": row.hall}), now)
-            return _membership(row), code
+            return Membership.model_validate(row), code
 
     def enroll(
         self,
@@ -134,7 +125,7 @@ class Enrolment(Repository):
             if row.revoked_at is None:
                 row.revoked_at, row.code_sha256, row.code_until = now, None, None
                 append(session, Act("bench_revoked", who=who, detail={"bench": name}), now)
-            return _membership(row)
+            return Membership.model_validate(row)
 
 
 def _let_in(
@@ -168,14 +159,3 @@ def _known(session: Session, name: str) -> BenchTable:
     if row is None:
         raise NotFound(f"there is no bench {name!r}")
     return row
-
-
-def _membership(row: BenchTable) -> Membership:
-    return Membership(
-        name=row.name,
-        hall=row.hall,
-        code_until=row.code_until,
-        enrolled_at=row.enrolled_at,
-        revoked_at=row.revoked_at,
-        last_seen_at=row.last_seen_at,
-    )

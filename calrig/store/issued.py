@@ -6,20 +6,19 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal, cast, get_args
+from typing import cast, get_args
 
 from sqlalchemy import func
 from sqlmodel import Session, col, select
 
 from calrig.canonical_json import canonical, sha256_of
+from calrig.model.calibration import RevisionStatus
 from calrig.store import trail
 from calrig.store.convert import iso_utc, run_row
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
 from calrig.store.tables import IssuedCalibrationTable, RunTable
-
-RevisionStatus = Literal["draft", "in_force", "superseded", "withdrawn"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
+from calrig.model.solution import Frame
 from calrig.store.records import Document
-
-Frame = Literal["sensor", "faces"]
 
 
 @dataclass(frozen=True, slots=True)

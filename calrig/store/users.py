@@ -7,17 +7,16 @@ import re
 import secrets
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal, get_args
+from typing import get_args
 
 from sqlmodel import Session, col, select
 
+from calrig.model.service import Role
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.tables import UserTable
 from calrig.store.trail import Act, append
 
-Role = Literal["viewer", "operator", "releaser", "admin"]
-"""In the order of what they may: each may what those before it may."""
 ROLES: tuple[Role, ...] = get_args(Role)
 NAME = re.compile(r"[\w.@+-]{1,64}")
 PREFIX = "calrig_"
@@ -33,6 +32,11 @@ class User:
     token_sha256: str | None
     created_at: datetime
     disabled_at: datetime | None
+
+    @property
+    def has_token(self) -> bool:
+        """Whether the user may log in by a token."""
+        return self.token_sha256 is not None
 
 
 class Users(Repository):

@@ -106,7 +106,7 @@ def test_a_solution_becomes_a_revision_with_a_certificate_that_rests_on_gravity(
     assert document["provenance"]["solution"]["runs"] == runs
 
     dcc = shared_client.get(f"{path}?revision=latest&format=dcc").text
-    assert "Angles rest on gravity and the full turn, by a joint solution of several mounts" in dcc
+    assert "joint solution of several mounts" in dcc
     assert "<dcc:traceable>false</dcc:traceable>" in dcc
     assert f"over 3 runs, solution {solved['id']}" in dcc
     assert all(warning in dcc for warning in solved["warnings"])
@@ -159,7 +159,7 @@ def test_what_a_revision_rests_on_and_counts_no_more_is_on_its_certificate(share
     shared_client.post(f"/api/runs/{runs[2]}/void", json={"reason": "slipped"}).raise_for_status()
     for revision in (made["revision"], alone):
         dcc = shared_client.get(f"{path}?revision={revision}&format=dcc").text
-        assert f"Run {runs[2]}, which it rests on, has been voided: slipped" in dcc
+        assert re.search(rf"Run {runs[2]}.* voided: slipped", dcc)
     refused = shared_client.post(f"{path}s", json={"solve": solution})
     assert (refused.status_code, "Solve again" in refused.json()["detail"]) == (409, True)
 

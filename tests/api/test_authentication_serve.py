@@ -66,7 +66,7 @@ def test_without_a_token_others_are_not_let_in_and_the_command_says_how_to_make_
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5"])
 def test_an_address_that_others_reach_needs_a_token(folder, host):
-    with pytest.raises(AccessError, match="can be reached from other machines: set CALRIG_TOKEN"):
+    with pytest.raises(AccessError, match="CALRIG_TOKEN"):
         access_here(host, host, Settings())
 
 

@@ -53,7 +53,7 @@ def test_a_diagnosis_of_too_many_poses_is_refused_and_says_how_many_it_takes(sha
     monkeypatch.setattr(stored_runs, "MOST_POSES", 3)
     answer = shared_client.post(f"/api/runs/{run['id']}/diagnosis", json={})
     assert answer.status_code == 422
-    assert "takes at most 3 poses, and these are 4: import a part" in answer.json()["detail"]
+    assert "at most 3 poses" in answer.json()["detail"]
 
 
 def test_an_upload_that_this_machine_has_no_room_for_is_503_and_says_where(

@@ -123,7 +123,7 @@ def test_what_is_kept_nowhere_else_is_kept_with_its_job_for_a_while(shared_clien
     assert shared_client.get(f"{later}/result").status_code == 200
     gone = shared_client.get(path)
     assert gone.status_code == 404
-    assert "it ended long ago" in gone.json()["detail"]
+    assert "unknown job" in gone.json()["detail"]
 
 
 @pytest.mark.usefixtures("_nobody_waits")

@@ -121,7 +121,7 @@ def test_a_certificate_of_the_labs_own_is_believed_where_it_is_named(tmp_path: P
     stranger.socket = context.wrap_socket(stranger.socket, server_side=True, do_handshake_on_connect=False)
     with at_work(stranger):
         address = f"https://127.0.0.1:{stranger.port}"
-        with pytest.raises(Unreachable, match=r"its certificate is not believed.* SSL_CERT_FILE"):
+        with pytest.raises(Unreachable, match=r"certificate.* SSL_CERT_FILE"):
             calrig.Client(address).rigs()
         assert stranger.heard == []
         believed = ssl.create_default_context(cafile=certificate)

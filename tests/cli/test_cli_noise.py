@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from support import QUICK, ended
 
 from calrig.cli import progress
 from calrig.cli.progress import Notice
+from calrig.model.run import Progress
 
 
 @pytest.fixture
@@ -117,7 +117,7 @@ def test_no_name_is_cut_where_a_run_is_followed_on_eighty_columns(monkeypatch):
 
     class Run:
         id, status, is_over = "6c5969b4-0000-4000-8000-000000000000", "running", False
-        progress: ClassVar = {"poses_total": 52}
+        progress = Progress(poses_done=0, poses_total=52, fraction=0.0, remaining_s=None)
 
     with progress.run_bar(Run(), unit) as show:
         show(Notice("the service does not answer"))

@@ -7,7 +7,9 @@ from command_line import reason
 
 from calrig.cli import output
 from calrig.cli.output import print_table
+from calrig.client import Result, RunRecord
 from calrig.errors import printable
+from calrig.model.result import Gyro
 
 EVIL = "[red]a[/red][link=http://x]b[/link]\x1b]0;owned\x07\x1b[2J\u202e"
 
@@ -28,22 +30,19 @@ def test_what_devices_say_is_shown_as_it_is(capsys, monkeypatch):
 
 
 def test_a_serial_number_is_no_markup_and_what_is_not_known_is_said(capsys):
-    number = {"bias_dps": [None] * 3, "bias_std_dps": [None] * 3, "scale": None, "scale_std": None}
-    result = dict.fromkeys(
-        ("bias_deg", "bias_std_deg", "scale", "scale_std", "rms_raw_deg", "rms_calibrated_deg", "noise_deg")
+    gyro = Gyro(bias_dps=[None] * 3, bias_std_dps=[None] * 3, scale=None, scale_std=None)
+    figures = dict.fromkeys(Result.model_fields) | {"gyro": gyro, "n_poses": 3}
+    run = RunRecord.model_construct(
+        id="1",
+        unit="[red]AS-1[/red]",
+        rig="bench-1",
+        status="completed",
+        plan={},
+        result=Result.model_construct(**figures),
+        verdict=None,
+        provenance={"warnings": ["$1=25 lets the table sag."]},
     )
-    result |= {"gyro": number, "temperature_c": None, "reference": None, "n_poses": 3}
-    output.print_result(
-        {
-            "id": "1",
-            "unit": "[red]AS-1[/red]",
-            "rig": "bench-1",
-            "plan": {},
-            "result": result,
-            "verdict": None,
-            "provenance": {"warnings": ["$1=25 lets the table sag."]},
-        }
-    )
+    output.print_result(run)
     shown = capsys.readouterr().out
     assert "unit [red]AS-1[/red], on bench-1" in shown
     assert "not known" in shown

@@ -26,9 +26,7 @@ def test_what_is_configured_is_listed_with_its_ports(folder):
     assert "smc100 on /dev/ttyABSENT0" in shown
     (folder / "calrig.toml").write_text(RIG.replace("smc100", "smc10"))
     for command in (["rigs"], ["run", "--unit", "A"]):
-        assert "rig 'bench-1': no stage driver is called 'smc10'; there are: esp301, " in reason(
-            *command, status=2
-        )
+        assert "rig 'bench-1': no stage driver is called 'smc10'" in reason(*command, status=2)
     (folder / "calrig.toml").unlink()
     assert "simulated" in calrig("rigs").stdout
 

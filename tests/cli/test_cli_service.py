@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import random
+import re
 import signal
 import socket
 import threading
@@ -165,9 +166,7 @@ def test_what_was_done_before_ctrl_c_came_is_said_to_be_kept(there, folder, monk
         package.Client(str(there.base_url)).import_poses(f"/dev/fd/{readable}", "LATE", told=press)
     os.close(readable)
     (note,) = left.value.__notes__
-    assert (
-        note == f"it was too late: what came of it is kept at {there.base_url}/api/runs/{newest(there)['id']}"
-    )
+    assert note.endswith(f"{there.base_url}/api/runs/{newest(there)['id']}")
     assert newest(there)["unit"] == "LATE"
 
 
@@ -209,7 +208,7 @@ def test_a_unit_to_be_turned_is_asked_for_on_the_terminal(there, folder):
     arguments = ["run", "--unit", "E", "--rig", "clamped", "--plan", "turned.json", "--json"]
     done = CliRunner().invoke(app, arguments, input="\nc\n", catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    assert "Turn the unit to 90°, its x along the stage's axis, then press Enter (c and Enter" in done.stderr
+    assert re.search(r"90°.* press Enter \(c and Enter", done.stderr)
     assert "turn it on by 90" in done.stderr.replace("89.", "90.").replace("91.", "90.")
     assert json.loads(done.stdout)["progress"]["poses_done"] == 6
     of_unit = calrig("export", "--unit", "E", "--format", "csv").stdout
@@ -263,7 +262,7 @@ def test_a_token_goes_to_nobody_but_this_users_own_service(served, folder, tmp_p
                 context.setattr(os, "geteuid", lambda: os.getuid() + 1)
                 assert not listener.is_ours(here), "another user listens there"
         assert answering_at(tmp_path / "other.db") is None, "the port is anybody's now"
-        assert ", or ask it by --server http://HOST:PORT" in reason(
+        assert "--server http://HOST:PORT" in reason(
             "import", folder / "poses.csv", "--unit", "A", "--db", tmp_path / "other.db", status=1
         )
     assert answering_at(tmp_path / "other.db") is None, "nobody holds it any more"
@@ -285,12 +284,12 @@ def test_a_run_of_another_program_is_watched_in_the_file(folder):
         watcher.start()
         store.runs.update(run.id, status="interrupted", error="the power went")
         watcher.join()
-    assert said == [
-        f"calrig: run {run.id} interrupted: the power went; `calrig resume {run.id}` goes on with it"
-    ]
+    (ending,) = said
+    assert f"run {run.id} interrupted: the power went" in ending
+    assert f"`calrig resume {run.id}`" in ending
     with Store.open(store_url(), writer="run") as store:
         left = store.runs.create(unit="A", rig=None, status="running", **given)
-    assert "is running in the store, and no program is there" in reason("watch", left.id[:8], status=1)
+    assert "is running in the store" in reason("watch", left.id[:8], status=1)
 
 
 def test_a_task_that_is_cancelled_cancels_the_work_that_it_waits_for(there, served, monkeypatch, caplog):

@@ -284,7 +284,7 @@ def _run_document(run: Run) -> Document:
     names = ["id", "unit", "rig", "status", "plan", *type(run).model_fields]  # in the order of every archive
     return {
         **{name: getattr(run, name) for name in dict.fromkeys(names) if name != "suspect"},
-        "limit": None if run.limit is None else run.limit.to_dict(),
+        "limit": None if run.limit is None else run.limit.model_dump(mode="json"),
         "verdict": None if verdict is None else verdict.to_dict(),
     }
 

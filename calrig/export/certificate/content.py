@@ -21,9 +21,9 @@ from decimal import ROUND_HALF_UP, Decimal
 from typing import Any, Literal
 
 from calrig.calibration.uncertainty import coverage_factor
+from calrig.model.calibration import RevisionStatus
 from calrig.model.result import Reference
 from calrig.model.verdict import Answer, Limit
-from calrig.store.issued import RevisionStatus
 
 DIGITS = 2
 
