@@ -22,9 +22,8 @@ from calrig.calibration.plan_design import Goals
 from calrig.model.plan import Plan, Until
 from calrig.model.plan_design import Design, Estimate
 from calrig.runs.plan_designs import DesignInputs, DesignRequest, answer, question
-from calrig.runs.plan_estimates import estimate, grid_says, wall_pace
+from calrig.runs.plan_estimates import estimate, goals_of, grid_says, require_reachable, wall_pace
 from calrig.runs.rig import overdue_says
-from calrig.runs.stopping_rule import goals_of, require_reachable
 
 router = APIRouter(tags=["runs"])
 

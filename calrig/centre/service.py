@@ -27,13 +27,12 @@ from calrig.model.run import AT_REST, TERMINAL, UNFINISHED
 from calrig.model.service import RigState
 from calrig.runs.assignment import NewRun, order_part, rig_followed_up_on
 from calrig.runs.follow_up import Designed, FollowUpQuestion
-from calrig.runs.plan_estimates import planned_poses
+from calrig.runs.plan_estimates import planned_poses, require_reachable
 from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics
 from calrig.runs.rig import check_stage_at
 from calrig.runs.single_flight import SharedTask, SingleFlight
 from calrig.runs.stopping import BY_REQUEST
-from calrig.runs.stopping_rule import require_reachable
 from calrig.settings import RigSettings
 from calrig.store import Run, StoredPose, StoreError
 from calrig.store.benches import Bench, Kind

@@ -16,7 +16,7 @@ from calrig.instruments.axis import Motion
 from calrig.instruments.types import GAP_PERIODS, Board, FloatArray, Samples
 from calrig.model.plan import Plan
 from calrig.runs.control import ENDED, Control, ResumeRequest
-from calrig.runs.mounting import Mount, OwnErrors, angle_about_deg
+from calrig.runs.mounting import Mounting, OwnErrors, angle_about_deg
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.store import SampleBlock
@@ -178,7 +178,7 @@ class AcquisitionLoop:
     _stood_deg: float | None = None
     _watched_s: float = 0.0
 
-    def begin(self, plan: Plan, *, moves: bool, mount: Mount | None = None) -> None:
+    def begin(self, plan: Plan, *, moves: bool, mount: Mounting | None = None) -> None:
         """Starts the board, and makes the stage ready where it is to move: homed, at the plan's velocity.
 
         `mount` is how the unit is clamped; None where a person is asked for that next.
@@ -198,18 +198,18 @@ class AcquisitionLoop:
         self._stands(self.rig.axis.elevation_deg())
         self.stood_at_s = self.synchronise()  # what the gyro felt before is homing's, and no pose's move
 
-    def _check_gravity(self, mount: Mount) -> None:
+    def _check_gravity(self, mount: Mounting) -> None:
         """Before anything moves: a stage that cannot home may stand elsewhere than it says."""
         angle_deg, accel_g = self._gravity(mount)
         if not np.isnan(accel_g).any():
             self.rig.place.check_gravity(self.rig.axis.elevation_deg(), angle_deg, mount)
 
-    def why_not(self, mount: Mount, errors: OwnErrors) -> str | None:
+    def why_not(self, mount: Mounting, errors: OwnErrors) -> str | None:
         """Why the unit is not clamped so, by what gravity says from now on; None where it is."""
         angle_deg, accel_g = self._gravity(mount)
         return mount.refusal(self.rig.axis.elevation_deg(), errors.without_deg(angle_deg), accel_g)
 
-    def _gravity(self, mount: Mount) -> tuple[float, FloatArray]:
+    def _gravity(self, mount: Mounting) -> tuple[float, FloatArray]:
         """The angle about the unit's axis, and (3,) the mean specific force, NaN where the board has none."""
         self.forget(self.synchronise())
         self.wait_until(self.stood_at_s + GRAVITY_S)
@@ -220,7 +220,7 @@ class AcquisitionLoop:
         turns = np.exp(1j * np.radians(seen.elevation_deg))
         return float(np.degrees(np.angle(turns.mean()))), accel_g
 
-    def wait_for_mount(self, mount: Mount, errors: OwnErrors) -> None:
+    def wait_for_mount(self, mount: Mounting, errors: OwnErrors) -> None:
         """Stands until a person has clamped the unit so and says Go, and gravity agrees.
 
         Readings meanwhile tell at which angle it is clamped.
@@ -236,7 +236,7 @@ class AcquisitionLoop:
                 if (go := self.control.take_go()) is not None:
                     refusal = self._answered(go, mount, errors)
 
-    def _answered(self, go: ResumeRequest, mount: Mount, errors: OwnErrors) -> str | None:
+    def _answered(self, go: ResumeRequest, mount: Mounting, errors: OwnErrors) -> str | None:
         """Why the unit is not clamped as it should be; whoever asked is told once the run goes on, or not."""
         refusal: str | None = ENDED
         try:

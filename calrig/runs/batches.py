@@ -23,10 +23,9 @@ from calrig.analysis.stage_maps import kept_of
 from calrig.model.plan import Plan
 from calrig.model.run import TERMINAL
 from calrig.processes.pool import OffloadedCall
-from calrig.runs.mounting import Mount
-from calrig.runs.plan_estimates import planned_poses
+from calrig.runs.mounting import Mounting
+from calrig.runs.plan_estimates import planned_poses, require_reachable
 from calrig.runs.services import Service
-from calrig.runs.stopping_rule import require_reachable
 from calrig.store import Run
 from calrig.store.batches import Batch, Turn
 from calrig.store.errors import ChangedMeanwhile, Refused, StoreError
@@ -237,10 +236,10 @@ class Standing:
     runs: Mapping[str, Run]
 
     @property
-    def mount(self) -> Mount:
+    def mount(self) -> Mounting:
         """How a unit is to be clamped when its turn begins."""
         plan = Plan.model_validate(self.batch.document["plan"])
-        return Mount(plan.mounts_deg[0], plan.mount_axis)
+        return Mounting(plan.mounts_deg[0], plan.mount_axis)
 
     @property
     def active_at(self) -> datetime:

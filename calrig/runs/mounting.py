@@ -11,7 +11,7 @@ from calrig.calibration.poses import Pose
 from calrig.estimation.angles import AXES, along_axis, elevation_deg, wrap_deg
 from calrig.instruments.types import FloatArray
 from calrig.model.plan import MountAxis
-from calrig.model.run import Mount as Asked
+from calrig.model.run import Mount
 
 MOST_OFF_DEG = 5.0
 """CONTRACT section 2. A hand clamps to a degree."""
@@ -60,7 +60,7 @@ def _harmonics(theta_deg: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Mount:
+class Mounting:
     """The angle at which a unit is to be clamped, and which of its axes lies along the stage's."""
 
     deg: float
@@ -72,9 +72,9 @@ class Mount:
         return -1 if self.axis.startswith("-") else 1
 
     @property
-    def asked(self) -> Asked:
+    def asked(self) -> Mount:
         """As a run's progress says it."""
-        return Asked(mount_deg=self.deg, mount_axis=self.axis)
+        return Mount(mount_deg=self.deg, mount_axis=self.axis)
 
     def felt_at(self, stage_deg: float) -> float:
         """The angle about its axis that a unit reads which is clamped so."""

@@ -44,8 +44,7 @@ from calrig.estimation.angles import AXES
 from calrig.estimation.kalman import KalmanNoise
 from calrig.model.plan import Plan, Until
 from calrig.run_ids import short_name
-from calrig.runs.plan_estimates import RigTiming, rig_pace
-from calrig.runs.stopping_rule import reference_uncertainty
+from calrig.runs.plan_estimates import RigTiming, reference_uncertainty, rig_pace
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 from calrig.store.records import Document

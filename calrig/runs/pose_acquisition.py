@@ -22,8 +22,8 @@ from calrig.model.plan import Plan, PlannedPose
 from calrig.model.result import Gyro
 from calrig.runs.acquisition import AcquisitionLoop, Phase, block_of
 from calrig.runs.assignment import Earlier
+from calrig.runs.plan_estimates import StoppingRule
 from calrig.runs.resume import MOVE_OFF_DEG, Returned, way_back
-from calrig.runs.stopping_rule import StoppingRule
 from calrig.store.records import filtering_of
 
 KIND = "move_mismatch"

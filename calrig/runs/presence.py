@@ -25,7 +25,7 @@ from calrig.instruments.transcript import taped
 from calrig.instruments.types import Board, BoardIdentity, Samples
 from calrig.runs.assignment import OpenBoardHandover
 from calrig.runs.crew import WorkerRegistry
-from calrig.runs.mounting import Mount, angle_about_deg
+from calrig.runs.mounting import Mounting, angle_about_deg
 from calrig.runs.rig import MOST_OFF_DEG
 from calrig.settings import BoardSettings, RigSettings
 from calrig.store import Store, StoreError
@@ -86,7 +86,7 @@ class BoardCheck:
     moves: bool = False
     stage_deg: float | None = None
 
-    def sighting(self, mount: Mount) -> PresenceStatus:
+    def sighting(self, mount: Mounting) -> PresenceStatus:
         """What it says of a unit that is to be clamped so."""
         if self.serial is None:
             if self.trouble is None:
@@ -98,7 +98,7 @@ class BoardCheck:
             return self._still("the board's own angle", self.own_deg or 0.0)
         return self._by_gravity(np.array(self.accel_g), mount)
 
-    def _by_gravity(self, accel_g: np.typing.NDArray[np.float64], mount: Mount) -> PresenceStatus:
+    def _by_gravity(self, accel_g: np.typing.NDArray[np.float64], mount: Mounting) -> PresenceStatus:
         weight_g, angle_deg = float(np.linalg.norm(accel_g)), angle_about_deg(mount.axis, accel_g)
         if not WEIGHT_G[0] < weight_g < WEIGHT_G[1]:
             return self._askew(

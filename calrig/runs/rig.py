@@ -32,7 +32,7 @@ from calrig.instruments.types import Board, BoardIdentity, Stage, StageIdentity
 from calrig.laboratory import STANDARDS
 from calrig.runs.assignment import RunAssignment
 from calrig.runs.control import Control, StopOutcome
-from calrig.runs.mounting import Mount
+from calrig.runs.mounting import Mounting
 from calrig.settings import RigSettings
 from calrig.store import Run, Store
 
@@ -89,7 +89,7 @@ class StagePosition:
         zero_deg, gain = _of(self._rig)
         axis.stands_at((left.stage_deg - zero_deg) / gain)
 
-    def check_gravity(self, stage_deg: float, felt_deg: float, mount: Mount) -> None:
+    def check_gravity(self, stage_deg: float, felt_deg: float, mount: Mounting) -> None:
         """Holds where a stage without homing is said to stand against the gravity that the unit feels there.
 
         Stores it where they agree.
@@ -148,7 +148,7 @@ class StagePosition:
             log.warning("where the stage of rig %r was left is not known", self._rig.name)
             self.leaves()
 
-    def _expected_deg(self, stage_deg: float, mount: Mount) -> float:
+    def _expected_deg(self, stage_deg: float, mount: Mounting) -> float:
         """What the unit reads there by its calibration in force; the elevation, if none is of this rig."""
         theta_deg = wrap_deg(mount.felt_at(stage_deg))
         known = known_calibration(self._store, self._unit)

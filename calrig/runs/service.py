@@ -18,7 +18,7 @@ from calrig.runs.assignment import NewRun, RunAssignment, rig_followed_up_on
 from calrig.runs.control import End
 from calrig.runs.crew import Clamps, WorkerRegistry
 from calrig.runs.follow_up import Designed, FollowUpQuestion
-from calrig.runs.plan_estimates import planned_poses
+from calrig.runs.plan_estimates import planned_poses, require_reachable
 from calrig.runs.presence import BoardCheck, PresenceMonitor
 from calrig.runs.recorder import Bus, ServiceMetrics, check_transition
 from calrig.runs.resume import resumed_task, waiting_task
@@ -27,7 +27,6 @@ from calrig.runs.rig_status import state_of
 from calrig.runs.run_queue import RunQueue
 from calrig.runs.single_flight import SharedTask
 from calrig.runs.stopping import BY_REQUEST, StopService
-from calrig.runs.stopping_rule import require_reachable
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError

@@ -22,6 +22,7 @@ from calrig.model.run import Status
 from calrig.runs.acquisition import AcquisitionLoop
 from calrig.runs.assignment import OpenBoardHandover, RunAssignment
 from calrig.runs.control import Control, End, Ended, StopOutcome
+from calrig.runs.plan_estimates import REACHED, StoppingRule
 from calrig.runs.pose_acquisition import PoseAcquisition
 from calrig.runs.procedures.continuous import ContinuousSweep
 from calrig.runs.procedures.dwell import DwellSequence
@@ -29,7 +30,6 @@ from calrig.runs.procedures.static import keep_log
 from calrig.runs.recorder import Bus, Recorder, ServiceMetrics
 from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, StagePosition, open_rig, require_suited
-from calrig.runs.stopping_rule import REACHED, StoppingRule
 from calrig.store import Run, RunChanges, Store, StoreError, StoreUnavailableError
 from calrig.store.issued import Draft
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calrig.instruments.types import BoardIdentity, Samples
-from calrig.runs.mounting import Mount
+from calrig.runs.mounting import Mounting
 from calrig.runs.presence import evaluate_board
 
 BOARD = BoardIdentity("calrig", "1", "AS-0043", "MPU-6050", 2, 250, 1000)
@@ -25,13 +25,13 @@ def standing(angle_deg, *, axis=(0, 1, 2), g=1.0, spread_g=AT_REST_G):
 @pytest.mark.parametrize(
     ("samples", "mount", "stage_deg", "state", "says"),
     [
-        (standing(21), Mount(0), 20, "there", "21.0° (by accelerometer)"),
-        (standing(141), Mount(120), 20, "there", "141.0°"),
-        (standing(93), Mount(0), None, "there", "93.0°"),
-        (standing(0, spread_g=IN_HAND_G), Mount(0), 0, "moving", "being moved"),
-        (standing(93), Mount(0), 20, "askew", "at 93.0°. Clamped as asked it would be at 20.0°"),
-        (standing(0, axis=(2, 0, 1)), Mount(0), None, "askew", "x does not lie along the stage's axis"),
-        (standing(0, g=0.4), Mount(0), 0, "askew", "0.40 g at rest"),
+        (standing(21), Mounting(0), 20, "there", "21.0° (by accelerometer)"),
+        (standing(141), Mounting(120), 20, "there", "141.0°"),
+        (standing(93), Mounting(0), None, "there", "93.0°"),
+        (standing(0, spread_g=IN_HAND_G), Mounting(0), 0, "moving", "being moved"),
+        (standing(93), Mounting(0), 20, "askew", "at 93.0°. Clamped as asked it would be at 20.0°"),
+        (standing(0, axis=(2, 0, 1)), Mounting(0), None, "askew", "x does not lie along the stage's axis"),
+        (standing(0, g=0.4), Mounting(0), 0, "askew", "0.40 g at rest"),
     ],
 )
 def test_gravity_tells_whether_the_unit_sits_as_asked(samples, mount, stage_deg, state, says):
@@ -40,7 +40,7 @@ def test_gravity_tells_whether_the_unit_sits_as_asked(samples, mount, stage_deg,
 
 
 def test_the_boards_word_tells_which_unit_it_is():
-    sight = evaluate_board(BOARD, standing(0), 0.0).sighting(Mount(0))
+    sight = evaluate_board(BOARD, standing(0), 0.0).sighting(Mounting(0))
     assert sight.of_unit("AS-0043").says.startswith("Board of AS-0043")
     assert sight.of_unit("AS-0044").state == "wrong"
 
@@ -49,5 +49,5 @@ def test_a_board_that_computes_its_angle_itself_is_taken_at_its_word():
     own = standing(0)
     none = np.full((20, 3), np.nan)
     look = evaluate_board(BOARD, Samples(own.time_s, none, none, own.temperature_c, np.full(20, -179.9)), 0)
-    sight = look.sighting(Mount(0))
+    sight = look.sighting(Mounting(0))
     assert sight.state == "there" and "-179.9°" in sight.says

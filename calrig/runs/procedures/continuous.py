@@ -40,7 +40,7 @@ from calrig.instruments.errors import BoardError, InstrumentError, StageError
 from calrig.instruments.types import Samples
 from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop, SampleSegment
-from calrig.runs.mounting import Mount
+from calrig.runs.mounting import Mounting
 from calrig.runs.pose_acquisition import DWELL_TRIES, PoseAcquisition, pose_of, wait_before_sweep
 
 FEWEST_OF_A_STRETCH = 0.5
@@ -379,7 +379,7 @@ class ContinuousSweep:
         taking, pace = self.taking, self.pace
         if taking.is_enough:
             return
-        pace.begin(self.plan, moves=True, mount=Mount(0.0, "x"))
+        pace.begin(self.plan, moves=True, mount=Mounting(0.0, "x"))
         if taking.poses:
             taking.return_to_last()
         else:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop
 from calrig.runs.follow_up import FollowUpRun
-from calrig.runs.mounting import Mount, OwnErrors
+from calrig.runs.mounting import Mounting, OwnErrors
 from calrig.runs.pose_acquisition import PoseAcquisition, wait_before_sweep
 
 
@@ -72,10 +72,10 @@ class DwellSequence:
         self.pace.begin(self.plan, moves=True)
         return mount.deg if self.pace.why_not(mount, OwnErrors()) is None else None
 
-    def _mount(self, mount_deg: float) -> Mount:
-        return Mount(mount_deg, self.plan.mount_axis)
+    def _mount(self, mount_deg: float) -> Mounting:
+        return Mounting(mount_deg, self.plan.mount_axis)
 
-    def _have_turned(self, mount: Mount, left: list[PlannedPose]) -> None:
+    def _have_turned(self, mount: Mounting, left: list[PlannedPose]) -> None:
         """Has a person clamp the unit anew, while the stage stands where it is.
 
         Gravity tells the angle about the stage's axis at any angle of the dial. Hands may have pushed the

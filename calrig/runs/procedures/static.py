@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop, block_of
-from calrig.runs.mounting import Mount
+from calrig.runs.mounting import Mounting
 
 BLOCK_S = 10.0
 """So much of a log is lost at most where the process dies."""
@@ -25,7 +25,7 @@ def keep_log(plan: Plan, planned: list[PlannedPose], pace: AcquisitionLoop, logg
         Ended: the run was asked to end; the log so far is stored.
         InstrumentError: a device failed; likewise.
     """
-    mount = Mount(plan.mounts_deg[0], plan.mount_axis)
+    mount = Mounting(plan.mounts_deg[0], plan.mount_axis)
     pace.begin(plan, moves=bool(planned), mount=mount)
     for pose in planned:
         pace.move(pose.target_deg)

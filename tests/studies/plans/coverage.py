@@ -10,7 +10,7 @@ from calrig.analysis.results import fitted
 from calrig.calibration.plan_design.layout import layout
 from calrig.calibration.poses import Filtering, Pose
 from calrig.plan import Plan, Until
-from calrig.runs.stopping_rule import REACHED, StoppingRule
+from calrig.runs.plan_estimates import REACHED, StoppingRule
 
 PERFECT = {"rig": {"reference": {"std_deg": 1e-9, "kind": "setting", "distribution": "normal"}}}
 """Beside such a stage all of the uncertainty is of type A: what ending early could shrink."""
