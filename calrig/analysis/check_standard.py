@@ -19,15 +19,15 @@ Document = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
-    """A time in which a rig was not known to be right: after `after`, up to and with `until`.
+class SuspectPeriod:
+    """A period in which a rig was not known to be right: after `after`, before `until`.
 
     Attributes:
-        rig: which.
-        after: when its check unit last passed; when it was named where it never had.
+        rig: its name.
+        after: when its check standard last passed; when it was named, if it never passed.
         until: when it passed again; None while it has not.
         failed: the check that failed first.
-        reason: in words.
+        reason: sentence for users.
     """
 
     rig: str
@@ -36,8 +36,8 @@ class Doubt:
     failed: str
     reason: str
 
-    def holds(self, rig: str | None, finished_at: datetime | None) -> bool:
-        """Whether a run of a rig is of that time."""
+    def contains(self, rig: str | None, finished_at: datetime | None) -> bool:
+        """Return whether a run of a rig finished in the period."""
         if rig != self.rig or finished_at is None or finished_at <= self.after:
             return False
         return self.until is None or finished_at < self.until
@@ -45,33 +45,33 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """The times in which rigs are in doubt."""
+    """The suspect periods of all rigs, by rig."""
 
-    doubts: Mapping[str, Sequence[Doubt]]
+    periods: Mapping[str, Sequence[SuspectPeriod]]
 
     def of(self, rig: str | None, finished_at: datetime | None) -> Suspect | None:
-        """Why a run is suspect; None where it is not."""
-        for doubt in self.doubts.get(rig or "", ()):
-            if doubt.holds(rig, finished_at):
-                return Suspect(reason=doubt.reason, check_run_id=doubt.failed)
+        """Return why a run is suspect; None if it is not."""
+        for period in self.periods.get(rig or "", ()):
+            if period.contains(rig, finished_at):
+                return Suspect(reason=period.reason, check_run_id=period.failed)
         return None
 
 
 def suspects(store: Store, found: Histories | None = None) -> Suspects:
-    """Of all rigs that have a check unit."""
+    """Return the suspect periods of all rigs that have a check standard."""
     named = store.check_standards.all()
     if not named:
         return Suspects({})
     found = histories(store) if found is None else found
-    return Suspects({one.rig: _doubts(one, _checked(found, one)) for one in named})
+    return Suspects({one.rig: _suspect_periods(one, _checked(found, one)) for one in named})
 
 
 def with_doubts(store: Store, runs: Sequence[Run]) -> list[Run]:
-    """Runs that say whether their rig was in doubt when they were made."""
+    """Return the runs, each with the reason why it is suspect, if it is."""
     known = suspects(store)
     return (
         [run.model_copy(update={"suspect": known.of(run.rig, run.finished_at)}) for run in runs]
-        if known.doubts
+        if known.periods
         else [*runs]
     )
 
@@ -119,8 +119,8 @@ def _checked(found: Histories, named: CheckUnit) -> _Checked:
     return _Checked(found, places, begins, tuple(judged), failed, known)
 
 
-def _doubts(named: CheckUnit, checked: _Checked) -> list[Doubt]:
-    found: list[Doubt] = []
+def _suspect_periods(named: CheckUnit, checked: _Checked) -> list[SuspectPeriod]:
+    found: list[SuspectPeriod] = []
     passed_at, is_open = named.named_at, False
     for place in range(len(checked.places)):
         at = checked.at(place)
@@ -130,7 +130,7 @@ def _doubts(named: CheckUnit, checked: _Checked) -> list[Doubt]:
                 f"check unit {named.unit} failed on rig {named.rig} in run {checked.run_id(place)}, and last "
                 f"passed {_when(passed_at) if passed_at != named.named_at else 'never since it was named'}"
             )
-            found.append(Doubt(named.rig, passed_at, None, checked.run_id(place), reason))
+            found.append(SuspectPeriod(named.rig, passed_at, None, checked.run_id(place), reason))
         elif checked.known[place] and not checked.failed[place]:
             if is_open:
                 found[-1] = replace(found[-1], until=at)
@@ -143,7 +143,7 @@ def _when(at: datetime) -> str:
 
 
 def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Document:
-    """How a rig stands by its check unit.
+    """Return the state of a rig by its check standard.
 
     Raises:
         Unknown: it has none.
@@ -156,7 +156,7 @@ def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Do
     passed = [place for place in range(n) if checked.known[place] and not checked.failed[place]]
     due_at = (named.named_at if last is None else last) + timedelta(days=named.interval_days)
     state = _verdict(checked, -1)
-    doubts = _doubts(named, checked)
+    periods = _suspect_periods(named, checked)
     return {
         "rig": rig,
         "unit": named.unit,
@@ -172,7 +172,7 @@ def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Do
         "suspect_runs": [
             row.run_id
             for row in sorted(found.rows, key=lambda row: row.finished_at)
-            if any(one.holds(row.rig, row.finished_at) for one in doubts)
+            if any(one.contains(row.rig, row.finished_at) for one in periods)
         ],
     }
 

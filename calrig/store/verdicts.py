@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import sqlalchemy
 from sqlalchemy import Connection, event
@@ -81,15 +81,15 @@ class Verdicts(Repository):
             to_judge: list[int] = []
             n_looked_at, last, more = 0, None, False
             is_it = _matching(judged, limits_of(session))
-            for number, of_today, unit, rig, *figures in map(tuple, _narrow(session, sought, cursor)):
+            for row in _narrow(session, sought, cursor):
                 more = n_looked_at == LOOKED_AT or limit == len(by_figures) or len(to_judge) == JUDGED_WHOLE
                 if more:
                     break
-                n_looked_at, last = n_looked_at + 1, number
-                if not of_today:
-                    to_judge.append(number)
-                elif is_it(unit, rig, dict(zip(_FIGURES, figures, strict=True))):
-                    by_figures.append(number)
+                n_looked_at, last = n_looked_at + 1, row.id
+                if not row.is_of_today:
+                    to_judge.append(row.id)
+                elif is_it(row):
+                    by_figures.append(row.id)
             wanted = select(RunTable).where(col(RunTable.id).in_([*by_figures, *to_judge]))
             runs = {row.id: run_of(row) for row in session.exec(wanted.order_by(*NEWEST_FIRST))}
             end = None if last is None else session.get_one(RunTable, last)
@@ -123,7 +123,7 @@ def _narrow(session: Session, sought: Sought, cursor: str | None) -> sqlalchemy.
     wanted = (
         sqlalchemy.select(
             col(RunTable.id),
-            _KEPT.c.program == PROGRAM,
+            (_KEPT.c.program == PROGRAM).label("is_of_today"),
             col(RunTable.unit),
             col(RunTable.rig),
             *(_KEPT.c[name] for name in _FIGURES),
@@ -137,12 +137,13 @@ def _narrow(session: Session, sought: Sought, cursor: str | None) -> sqlalchemy.
     return session.connection().execute(wanted)
 
 
-def _matching(judged: Judged, limits: Sequence[Limit]) -> Callable[[str, str | None, dict[str, Any]], bool]:
-    """Return whether unit, rig and figures have the verdict, as a function of these."""
+def _matching(judged: Judged, limits: Sequence[Limit]) -> Callable[[sqlalchemy.Row[Any]], bool]:
+    """Return a function that tests whether a row of `_narrow` has the verdict."""
     if judged in get_args(Left):
-        return lambda _unit, _rig, figures: bool(figures["left"] == judged)
+        return lambda row: bool(row.left == judged)
     of = cache(lambda unit, rig: limit_for(limits, unit, rig))
-    return lambda unit, rig, figures: answer_of(VerdictFigures(**figures), of(unit, rig)) == judged
+    # a row has the attributes of the figures; to make them for each of 20,000 rows takes longer than to test
+    return lambda row: answer_of(cast("VerdictFigures", row), of(row.unit, row.rig)) == judged
 
 
 def _keep(connection: Connection, run: RunTable) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control, t
 
-from calrig.calibration.histories.between_runs import changes, rejection_level
-from calrig.calibration.histories.repeatability import Runs, outlying, repeatability
+from calrig.calibration.histories.between_runs import changes, differences, rejection_level
+from calrig.calibration.histories.repeatability import Repeatability, Runs, outlying, repeatability
 
 BENJAMINI_HOCHBERG = [0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240,
                       0.4262, 0.5719, 0.6528, 0.7590, 1.0000]  # fmt: skip
@@ -37,6 +37,25 @@ def runs_of(units, runs, seed, moved=None, size=1.0, rigs=1, days="own", type_a=
 def marked(found):
     """The units that are said to have changed."""
     return {int(one) for one in found.unit[found.first[found.changed]]}
+
+
+@pytest.mark.parametrize(
+    ("days", "rigs", "stage_std"),
+    [((0, 0), (0, 0), 0.0), ((0, 1), (0, 0), 0.0), ((0, 1), (0, 1), 0.0), ((0, 1), (0, 1), 0.3)],
+)
+def test_a_difference_scatters_as_stated_over_pairs_of_runs_drawn(days, rigs, stage_std):
+    """Each unit twice: run, day and rig are drawn, what both runs share once; the stage's part as stated."""
+    rng, n = np.random.default_rng(0), 40_000
+    pooled = Repeatability(RECLAMPED, A_DAY, 0.0 if stage_std else 0.05, 0.0, 50)
+    of_day, of_rig = (
+        A_DAY * rng.normal(size=(n, 2)),
+        np.hypot(pooled.rig, stage_std) * rng.normal(size=(n, 2)),
+    )
+    noise = np.array([0.01, 0.02]) * rng.normal(size=(n, 2)) + RECLAMPED * rng.normal(size=(n, 2))
+    value = (of_day[:, list(days)] + of_rig[:, list(rigs)] + noise).ravel()
+    unit, rig, day = np.repeat(np.arange(n), 2), np.tile(rigs, n), np.tile(days, n)
+    runs = Runs(unit, rig, day, value, np.tile([0.01, 0.02], n), np.full(2 * n, stage_std**2))
+    assert differences(runs, pooled).sigma.std() == pytest.approx(1.0, rel=0.02)
 
 
 def test_the_level_of_the_paper_rejects_the_papers_four():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from calrig.calibration.line import Line
@@ -42,3 +43,15 @@ def test_a_run_that_ends_once_it_is_good_enough_covers_what_it_states():
 
     assert min(covered) > COVERED
     assert math.isclose(stated_scatter(10_000), 1.0, rel_tol=1e-3), "of many poses it costs nothing"
+
+
+@pytest.mark.parametrize("n_poses", [6, 12, 25])
+def test_a_scatter_below_the_noise_states_the_noise_that_is_known_as_of_a_normal_distribution(n_poses):
+    """Student's quantile of n − 2 times the stated scatter is the normal's quantile times the noise."""
+    noise_deg = 0.02
+    line = Line(0.0, 1.0, 0.001, 1e-5, ((1e-6, 1e-9), (1e-9, 1e-10)), 1e-3)
+    stated = cautious(line, n_poses, noise_deg)
+    more = stats.norm.ppf(0.975) / stats.t.ppf(0.975, n_poses - 2) * noise_deg / 1e-3
+    assert stated.residual_std_deg == pytest.approx(more * 1e-3, rel=1e-6)
+    assert (stated.bias_std_deg, stated.scale_std) == pytest.approx((more * 1e-3, more * 1e-5), rel=1e-6)
+    assert np.array(stated.covariance) == pytest.approx(more**2 * np.array(line.covariance), rel=1e-6)

@@ -81,6 +81,16 @@ def beyond_interval(value: float, allowed: Interval) -> float:
     return max(allowed[0] - value, value - allowed[1])
 
 
+TESTED = (
+    ("max_error_deg", "largest_error_deg", "error_expanded_deg", True),
+    ("bias_deg", "bias_deg", "bias_expanded_deg", False),
+    ("scale", "scale", "scale_expanded", False),
+    ("rms_deg", "rms_deg", "rms_expanded_deg", True),
+)
+"""Field of a limit, the figure and the uncertainty it is tested on, and whether it also needs the U of an
+elevation to be known."""
+
+
 @dataclass(frozen=True, slots=True)
 class Decided:
     """The answer for one figure; `expanded` is None if its uncertainty is unknown."""
@@ -93,21 +103,18 @@ class Decided:
 def decisions(limit: Limit, figures: Figures) -> dict[str, Decided | None]:
     """Decide every figure that a limit sets, by the limit's field name; None where it cannot be decided."""
     u_deg = figures.expanded_deg
-    measured = {
-        "max_error_deg": (figures.largest_error_deg, figures.error_expanded_deg, u_deg is not None),
-        "bias_deg": (figures.bias_deg, figures.bias_expanded_deg, True),
-        "scale": (figures.scale, figures.scale_expanded, True),
-        "rms_deg": (figures.rms_deg, figures.rms_expanded_deg, u_deg is not None),
-    }
     found: dict[str, Decided | None] = {}
-    for name, (value, expanded, known) in measured.items():
+    for name, figure, uncertainty, needs_u in TESTED:
         allowed: float | Interval | None = getattr(limit, name)
         if allowed is None:
             continue
+        value: float | None = getattr(figures, figure)
         if value is None:
             found[name] = None
             continue
+        expanded: float | None = getattr(figures, uncertainty)
         beyond = beyond_interval(value, allowed) if isinstance(allowed, tuple) else value - allowed
+        known = u_deg is not None or not needs_u
         found[name] = Decided(value, expanded, decide(limit, beyond, expanded, known=known))
     allowed_deg = limit.expanded_uncertainty_deg
     if allowed_deg is not None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calrig.calibration.separation.lack_of_fit import misfits
+from calrig.calibration.separation.map_report import common_variance
 from calrig.calibration.separation.report import solution_document
 from calrig.calibration.separation.solution import solve
 
@@ -102,3 +104,23 @@ def test_noise_alone_has_no_mount_told_of(correlation):
         bool(misfits(solve(measured(seed, correlation=correlation)).mount_tests)) for seed in range(40)
     )
     assert told <= 3, "one in a hundred by its level; 4 of 40 in one case in a thousand"
+
+
+@pytest.mark.parametrize("common_std", [0.0, 0.05])
+def test_the_misfit_in_common_at_an_angle_is_found_without_the_noise_of_its_poses(common_std):
+    """Of 25 angles in three mounts, each four times: the mean of many draws is the variance put in."""
+    rng = np.random.default_rng(0)
+    dial, mount = (
+        part.ravel() for part in np.meshgrid(np.linspace(-60.0, 60.0, 25), np.repeat([0, 1, 2], 4))
+    )
+    table = SimpleNamespace(dial_deg=dial, mount=mount, approach=np.ones(len(dial)))
+    common = np.sin(np.arange(25))
+    common *= common_std / np.sqrt(np.mean(common**2))
+    found = []
+    for _ in range(200):
+        left = np.tile(common, 12) + rng.normal(0.0, 0.1, len(dial))
+        fit = SimpleNamespace(
+            problem=SimpleNamespace(table=table), kept=dial < 90.0, left=lambda left=left: left
+        )
+        found.append(common_variance(fit))
+    assert np.mean(found) == pytest.approx(common_std**2, rel=0.05, abs=2e-5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,6 +130,44 @@ def test_a_map_that_moved_is_told_of_and_where(bench):
     assert moved.has_moved
     assert moved.largest_at_deg in moved.at_deg
     assert checked(before[:5], before, stage_map) is None, "five poses tell nothing"
+
+
+def test_what_the_map_may_be_off_by_is_no_movement_of_the_stage(bench):
+    """A wave of order 4 comes up: the map that does not know this wave any better has not moved."""
+    stage, stage_map = bench
+    unit = drawn_unit(np.random.default_rng(3))
+    before = calibrated_once(4, stage, unit)
+    now = calibrated_once(5, Stage((*stage.waves, (4, 0.15, 0.0)), stage.gap_deg), unit)
+    assert checked(now, before, stage_map).has_moved
+    sine = 2 * stage_map.orders.index(4.0) + 1
+    variance = stage_map.covariance_deg2.copy()
+    variance[sine, sine] += 0.15**2
+    assert not checked(now, before, replace(stage_map, covariance_deg2=variance)).has_moved
+
+
+def test_the_uncertainty_by_a_map_is_that_of_lines_through_maps_drawn_from_its_covariance(bench):
+    """The series is written out here; a line takes what it can of it, and errs by its slope."""
+    _, stage_map = bench
+    theta, approach = np.linspace(-60.0, 30.0, 25), np.resize([1.0, -1.0], 25)
+
+    def columns(dial, sense):
+        waves = [wave(np.radians(k * dial)) for k in stage_map.orders for wave in (np.cos, np.sin)]
+        return np.column_stack([*waves, 0.5 * sense])
+
+    middle = columns(stage_map.dial_deg, np.zeros(len(stage_map.dial_deg))).mean(axis=0)
+    rng = np.random.default_rng(0)
+    drawn = rng.multivariate_normal(np.zeros(len(middle)), stage_map.covariance_deg2, 20_000)
+    error_deg = (columns(theta, approach) - middle) @ drawn.T
+    slopes, levels = np.polyfit(theta, error_deg, 1)
+    over_range = np.linspace(-60.0, 30.0, 901)
+    straight = map_reference(stage_map, theta, theta, approach)
+    by_slope_deg = slopes.std() * np.sqrt(np.mean((over_range - over_range.mean()) ** 2))
+    assert straight.std_deg == pytest.approx(by_slope_deg, rel=0.03)
+    assert straight.line_covariance[1][1] == pytest.approx(slopes.var(), rel=0.05)
+    assert straight.line_covariance[0][0] == pytest.approx(levels.var(), rel=0.05)
+    bent = map_reference(stage_map, theta, theta, approach, bent=True)
+    about = error_deg - error_deg.mean(axis=0)
+    assert bent.std_deg == pytest.approx(np.sqrt(np.mean(about**2)), rel=0.03)
 
 
 @pytest.mark.statistical
