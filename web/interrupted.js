@@ -1,4 +1,4 @@
-// A run that was interrupted: what is told of it afterwards, and the way on while it lies there.
+// An interrupted run: its interruptions in the run's head, and the buttons that continue or end it.
 
 import { h } from "./dom.js";
 import { fixed, isKnown, moment, plural } from "./format.js";
@@ -6,18 +6,18 @@ import { placeField } from "./stageplace.js";
 
 /** A line for each time the run was resumed. */
 export function interruptions(run) {
-  return (run.provenance.interruptions ?? []).map((told) =>
+  return (run.provenance.interruptions ?? []).map((one) =>
     h(
       "p",
       { class: "interruption" },
-      `Interrupted after ${plural(told.after_poses, "pose")}, resumed `,
-      moment(told.resumed_at ?? told.taken_up_at), // the latter in older runs
-      told.measured_again && `; ${measuredAgain(told.measured_again)}`,
+      `Interrupted after ${plural(one.after_poses, "pose")}, resumed `,
+      moment(one.resumed_at ?? one.taken_up_at), // the latter in older runs
+      one.measured_again && `; ${measuredAgain(one.measured_again)}`,
     ),
   );
 }
 
-/** Runs of an older calrig do not say the difference, only both readings. */
+/** Runs of earlier versions have both readings, but not their difference. */
 function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, difference_std_deg }) {
   const chance = difference_std_deg === null ? "" : ` (± ${fixed(difference_std_deg, 3, "°")})`;
   const difference = isKnown(difference_deg)
@@ -26,13 +26,13 @@ function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, diff
   return `repeated pose at ${fixed(target_deg, 1, "°")}: ${difference}${chance}`;
 }
 
-/** Buttons for a run that lies interrupted; `ask(verb, body)` posts resume or abort. */
+/** Buttons for an interrupted run; `ask(verb, body)` posts resume or abort. */
 export function wayOn(run, ask) {
   const place = run.provenance?.stage?.homes === false ? placeField() : null;
   const resumed = () => (place ? { stage_at_deg: place.value() } : {});
   const click = (verb) => () => ask(verb, verb === "resume" ? resumed() : {});
   const button = (id, verb, text) => h("button", { id, type: "button", on: { click: click(verb) } }, text);
-  if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, button("go-held", "resume", "Go"));
+  if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, button("go-held", "resume", "Continue"));
   if (run.status !== "interrupted") return null;
   return h(
     "section",
@@ -40,14 +40,14 @@ export function wayOn(run, ask) {
     h(
       "p",
       {},
-      "Every measured pose is kept. Leave unit and stage as they are and resume the run: the last pose is " +
-        "measured again to check that nothing has moved.",
+      "All measured poses are kept. Leave unit and stage as they are and resume the run: calrig measures the last " +
+        "pose again to check that nothing has moved.",
     ),
     place && [
       h(
         "p",
         { id: "stage-at-why", class: "muted" },
-        "This stage has no homing. If it was moving when the run was interrupted, or has been turned since, enter " +
+        "This stage has no homing. If it was moving when the run was interrupted, or has been rotated since, enter " +
           "its elevation.",
       ),
       place.element,

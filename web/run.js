@@ -1,6 +1,6 @@
-// One run: live while it goes on, its result when it has ended.
+// One run: live while it is in progress, with its result afterwards.
 
-import { ApiError, get, post } from "./api.js";
+import { get, post, serviceError } from "./api.js";
 import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
@@ -17,7 +17,7 @@ import { follow } from "./stream.js";
 import { Timeline } from "./timeline.js";
 
 const RESIDUAL_EVERY_MS = 1000;
-const NO_TIMES = "Nothing was read yet, or it is not known when: poses of a file without time_s.";
+const NO_TIMES = "No readings with known times: none yet, or poses of a file without time_s.";
 
 export async function runView({ root, parts: [id], signal }) {
   const path = `/api/runs/${encodeURIComponent(id)}`;
@@ -118,7 +118,7 @@ class RunPage {
     window.addEventListener("calrig:back", () => this.#caughtUp(stream, timeline), { signal: this.signal });
   }
 
-  /** After an end, or after the service was away: what the run is now, and no stream where it has ended. */
+  /** Reads the run after its end, or after a lost connection; closes the stream if it has ended. */
   async #caughtUp(stream, timeline) {
     try {
       await this.#reread();
@@ -164,7 +164,7 @@ class RunPage {
     fill(this.more, provenanceDetails(run));
   }
 
-  /** What the run waits for a person to do; the card comes when it is needed first. */
+  /** Shows what the run waits for the operator to do; the card is loaded when first needed. */
   async #wait(asked) {
     this.live.waits(Boolean(asked));
     try {
@@ -213,43 +213,40 @@ class RunPage {
     }
   }
 
-  /** What the service refused or could not answer; a fault of this page's own goes to the console instead. */
   #say(error) {
-    if (this.signal.aborted) return;
-    if (!(error instanceof ApiError)) throw error;
-    this.error.say(error);
+    this.error.say(serviceError(error, this.signal));
   }
 
   async #ask(verb) {
     this.error.say(null);
     try {
-      await post(`${this.path}/${verb}`); // the stream tells what came of it, later or sooner than this answer
+      await post(`${this.path}/${verb}`); // the stream reports the result, before or after this answer
       this.live.hold(verb === "pause");
     } catch (error) {
       this.#say(error);
     }
   }
 
-  /** Resumes an interrupted run, or one that is held, and follows it; or ends it. */
+  /** Resumes an interrupted or held run and follows it, or ends it. */
   async #goOn(verb, body) {
     if (this.isGoingOn) return;
     this.error.say(null);
-    const told = document.getElementById("going-on");
-    if (told) told.textContent = verb === "resume" ? "Looking for rig, board and stage as they were…" : "";
+    const state = document.getElementById("going-on");
+    if (state) state.textContent = verb === "resume" ? "Checking rig, board and stage…" : "";
     this.isGoingOn = true;
     try {
       const { ended } = this;
       this.#show(await post(`${this.path}/${verb}`, body));
-      if (ended) await this.begin(); // one that waited is followed already
+      if (ended) await this.begin(); // a held run is followed already
     } catch (error) {
-      if (told) told.textContent = "";
+      if (state) state.textContent = "";
       this.#say(error);
     } finally {
       this.isGoingOn = false;
     }
   }
 
-  /** The Escape key stops the stage of a run that goes on, unless it closes a dialog. */
+  /** The Escape key stops the stage of a run in progress, unless it closes a dialog. */
   #escape(event) {
     const mayMove = !this.ended || this.isGoingOn;
     if (event.key !== "Escape" || !mayMove || document.querySelector("dialog[open]")) return;
