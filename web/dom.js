@@ -43,8 +43,10 @@ export function keepingFocus(element, change) {
   const had = document.activeElement;
   const isInside = element.contains(had);
   change();
-  const isElsewhere = document.activeElement !== had && document.activeElement !== document.body;
-  if (!isInside || isElsewhere || (had.isConnected && had.checkVisibility())) return;
+  const now = document.activeElement; // a field that was removed and inserted again has lost the focus
+  const isKept = now === had && had.checkVisibility();
+  const isElsewhere = now !== had && now !== document.body;
+  if (!isInside || isKept || isElsewhere) return;
   const same = had.id && document.getElementById(had.id);
   (same?.checkVisibility() ? same : element.closest("main"))?.focus({ preventScroll: true });
 }

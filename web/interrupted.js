@@ -1,8 +1,7 @@
 // An interrupted run: its interruptions in the run's head, and the buttons that continue or end it.
 
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
 import { fixed, isKnown, moment, plural } from "./format.js";
-import { placeField } from "./stageplace.js";
 
 /** A line for each time the run was resumed. */
 export function interruptions(run) {
@@ -26,13 +25,10 @@ function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, diff
   return `repeated pose at ${fixed(target_deg, 1, "°")}: ${difference}${chance}`;
 }
 
-/** Buttons for an interrupted run; `ask(verb, body)` posts resume or abort. */
-export function wayOn(run, ask) {
-  const place = run.provenance?.stage?.homes === false ? placeField() : null;
-  const resumed = () => (place ? { stage_at_deg: place.value() } : {});
-  const click = (verb) => () => ask(verb, verb === "resume" ? resumed() : {});
-  const button = (id, verb, text) => h("button", { id, type: "button", on: { click: click(verb) } }, text);
-  if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, button("go-held", "resume", "Continue"));
+/** Buttons for an interrupted run; `ask(verb)` posts resume or abort, `place` is a `placeField`. */
+export function wayOn(run, place, ask) {
+  const verbButton = (id, verb, text) => button(text, () => ask(verb), { id });
+  if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, verbButton("go-held", "resume", "Continue"));
   if (run.status !== "interrupted") return null;
   return h(
     "section",
@@ -43,7 +39,7 @@ export function wayOn(run, ask) {
       "All measured poses are kept. Leave unit and stage as they are and resume the run: calrig measures the last " +
         "pose again to check that nothing has moved.",
     ),
-    place && [
+    hasNoHoming(run) && [
       h(
         "p",
         { id: "stage-at-why", class: "muted" },
@@ -55,9 +51,14 @@ export function wayOn(run, ask) {
     h(
       "div",
       { class: "buttons" },
-      button("resume-interrupted", "resume", "Resume the run"),
-      button("end-interrupted", "abort", "End the run"),
+      verbButton("resume-interrupted", "resume", "Resume the run"),
+      verbButton("end-interrupted", "abort", "End the run"),
       h("p", { id: "going-on", class: "muted", role: "status" }),
     ),
   );
+}
+
+/** Whether the position of the run's stage may have to be entered. */
+export function hasNoHoming(run) {
+  return run.provenance?.stage?.homes === false;
 }

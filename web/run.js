@@ -5,13 +5,14 @@ import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { errorLine, fill, h, keepingFocus, runName, tableBox } from "./dom.js";
-import { wayOn } from "./interrupted.js";
+import { hasNoHoming, wayOn } from "./interrupted.js";
 import { LivePanel, TERMINAL } from "./live.js";
 import { may } from "./me.js";
 import { PoseTable } from "./poses.js";
 import { provenanceDetails } from "./provenance.js";
 import { noResultAbout, resultCard } from "./result.js";
 import { downloads, faultLine, heading } from "./runhead.js";
+import { placeField } from "./stageplace.js";
 import { preferRig } from "./stop.js";
 import { follow } from "./stream.js";
 import { Timeline } from "./timeline.js";
@@ -32,6 +33,7 @@ class RunPage {
     this.signal = signal;
     this.header = h("div", { class: "run-head" });
     this.error = errorLine("run-error");
+    this.place = placeField(); // one for all redraws, which keep what was typed
     this.spoken = h("p", { class: "for-screen-readers", "aria-live": "polite" });
     const announce = (text) => (this.spoken.textContent = text);
     this.mismatches = h("section", { id: "mismatches", class: "card", role: "alert", hidden: true });
@@ -148,7 +150,7 @@ class RunPage {
     fill(
       this.header,
       heading(run),
-      wayOn(run, (verb, body) => this.#goOn(verb, body)),
+      wayOn(run, this.place, (verb) => this.#goOn(verb)),
       amendments(run, this.path, this.ended),
     );
     this.live.show(run);
@@ -228,21 +230,33 @@ class RunPage {
   }
 
   /** Resumes an interrupted or held run and follows it, or ends it. */
-  async #goOn(verb, body) {
+  async #goOn(verb) {
     if (this.isGoingOn) return;
     this.error.say(null);
     const state = document.getElementById("going-on");
     if (state) state.textContent = verb === "resume" ? "Checking rig, board and stage…" : "";
+    const { ended } = this;
+    const stage_at_deg = this.place.value();
+    this.place.put(null); // the stage moves, so the position is valid for this resumption only
     this.isGoingOn = true;
     try {
-      const { ended } = this;
+      const body = verb === "resume" && hasNoHoming(this.run) ? { stage_at_deg } : {};
       this.#show(await post(`${this.path}/${verb}`, body));
-      if (ended) await this.begin(); // a held run is followed already
     } catch (error) {
       if (state) state.textContent = "";
-      this.#say(error);
+      if (this.place.value() === null) this.place.put(stage_at_deg);
+      return this.#say(error);
     } finally {
       this.isGoingOn = false;
+    }
+    if (ended) await this.#follow(); // a held run is followed already
+  }
+
+  async #follow() {
+    try {
+      await this.begin();
+    } catch (error) {
+      this.#say(error);
     }
   }
 

@@ -5,7 +5,7 @@ import { field, fill, h, runName } from "./dom.js";
 
 const ASKED_FOR = "--stage-at"; // in the error of a run that needs the position
 
-/** The field; `value()` is the elevation or null. */
+/** The field; `value()` is the elevation or null, `put(value)` sets it. */
 export function placeField() {
   const input = h("input", {
     id: "stage_at_deg",
@@ -18,6 +18,7 @@ export function placeField() {
   return {
     element: field("stage_at_deg", "The stage stands at, °", input),
     value: () => (input.value === "" ? null : Number(input.value)),
+    put: (value) => (input.value = value ?? ""),
   };
 }
 

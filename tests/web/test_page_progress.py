@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from threading import Event
 
 import pytest
 from support import PATIENCE_S, wait_for
@@ -79,9 +80,17 @@ def test_one_cancelled_before_the_service_has_named_it_is_given_up(
 ):
     caplog.set_level(logging.INFO, "calrig.api.origin_check")
     monkeypatch.setattr(jobs, "AT_ONCE_S", PATIENCE_S)
+    received, answer = Event(), jobs.BackgroundWork.answer
+
+    def noting(*args, **options):
+        received.set()
+        return answer(*args, **options)
+
+    monkeypatch.setattr(jobs.BackgroundWork, "answer", noting)
     go(f"#/runs/{slow_run['id']}")
     page.click("#diagnose")
     expect(page.locator("#diagnosis-says")).to_contain_text("Searching all poses for effects")
+    assert received.wait(PATIENCE_S), "a request that the browser gives up before it is sent, no service sees"
     page.click("#diagnosis-cancel")
     expect(page.locator("#diagnosis-state")).to_have_text("Cancelled: nothing was kept of it.")
     wait_for(

@@ -57,6 +57,8 @@ def test_who_resumes_a_run_says_where_a_stage_without_homing_stands(
         expect(page.locator("#view")).to_contain_text(why)
         expect(page.locator("#status")).to_have_text("interrupted")
     field.fill(f"{stands_deg:.2f}")
+    with page.expect_response(f"**/api/runs/{run_id}/poses"):
+        page.evaluate("dispatchEvent(new Event('calrig:done'))")  # the page reads the run again, and draws it
     resume.click()
     expect(page.locator("#status")).to_have_text("completed")
     expect(field).to_have_count(0)
