@@ -1,11 +1,11 @@
-// What is done to a run after it was measured: the buttons at its head, each with a question.
+// Amendments of a run after it was measured: the buttons at its head, each with a dialog.
 
 import { post } from "./api.js";
 import { askConfirmation, askReason } from "./ask.js";
-import { field, h, runName } from "./dom.js";
+import { button, field, h, runName } from "./dom.js";
 import { may } from "./me.js";
 
-/** For a run at `path`, ended or not. */
+/** The buttons for a run at `path`, ended or not. */
 export function amendments(run, path, ended) {
   const offered = [
     may("operator") && ["note", "Add a note…", () => askNote(run, path)],
@@ -13,20 +13,14 @@ export function amendments(run, path, ended) {
     ended && may("releaser") && !run.voided && ["void", "Void this run…", () => askVoid(run, path)],
     ended && may("releaser") && run.voided && ["unvoid", "Reinstate this run…", () => askUnvoid(run, path)],
   ];
-  return h(
-    "div",
-    { class: "buttons" },
-    offered
-      .filter(Boolean)
-      .map(([id, text, ask]) => h("button", { type: "button", id, on: { click: ask } }, text)),
-  );
+  return h("div", { class: "buttons" }, offered.filter(Boolean).map(([id, text, ask]) => button(text, ask, { id })));
 }
 
 function askVoid(run, path) {
   return askReason(
     {
       title: `Void run ${runName(run.id)}?`,
-      text: "The run is kept, struck through, and left out of every comparison.",
+      text: "The run is kept, struck through, and excluded from every comparison.",
       action: "Void the run",
     },
     (reason) => post(`${path}/void`, { reason }),
@@ -37,7 +31,7 @@ function askUnvoid(run, path) {
   return askReason(
     {
       title: `Reinstate run ${runName(run.id)}?`,
-      text: `It was voided: ${run.voided.reason}. From now on it is compared like any other.`,
+      text: `It was voided: ${run.voided.reason}. Reinstated, it is part of comparisons again.`,
       action: "Reinstate the run",
       kind: "primary",
     },
@@ -49,10 +43,10 @@ function askUnit(run, path) {
   const serial = h("input", { id: "right-unit", required: true, maxlength: "100", autocomplete: "off" });
   return askReason(
     {
-      title: `Which unit is run ${runName(run.id)} of?`,
+      title: `Correct the serial number of run ${runName(run.id)}?`,
       text:
-        `It stands under ${run.unit}. It moves to the right unit with its follow-ups; the trail of both units ` +
-        "says so.",
+        `Recorded as ${run.unit}. The run and its follow-ups move to the unit below; the audit log of both units ` +
+        "records the move.",
       action: "Move the run",
       kind: "primary",
       before: field("right-unit", "Serial number", serial),
@@ -65,8 +59,8 @@ function askNote(run, path) {
   const note = h("textarea", { id: "note", required: true, maxlength: "10000", rows: "4" });
   return askConfirmation(
     {
-      title: `Note something of run ${runName(run.id)}`,
-      text: "It stands below what is noted already, with the time and your name where that is known.",
+      title: `Add a note to run ${runName(run.id)}`,
+      text: "The note is appended to earlier ones, with the time and your name if it is known.",
       action: "Add the note",
       before: [h("label", { for: "note" }, "Note"), note],
     },
@@ -74,7 +68,7 @@ function askNote(run, path) {
   );
 }
 
-/** Leaves a pose out of the result. */
+/** Excludes a pose from the result. */
 export function askExclude(path, pose) {
   return askReason(
     {
@@ -86,7 +80,7 @@ export function askExclude(path, pose) {
   );
 }
 
-/** Takes it in again. */
+/** Includes it again. */
 export function askInclude(path, pose) {
   return askReason(
     {

@@ -1,7 +1,5 @@
 // The service's HTTP API: JSON in and out, errors as one readable line.
 
-const JSON_BODY = { "Content-Type": "application/json" };
-
 export class ApiError extends Error {
   /** `fields` are the places in what was sent that are wrong, such as "plan.sweeps". */
   constructor(message, status, fields = []) {
@@ -11,15 +9,37 @@ export class ApiError extends Error {
   }
 }
 
-/** Thrown where no answer came at all; the banner says the rest. */
+/** Thrown if no answer came at all; the banner reports the lost connection. */
 class Unreachable extends ApiError {
   constructor() {
-    super("The service does not answer. Nothing was changed from here; try again once it is back.", 0);
+    super("The service does not answer. Try again when it is reachable.", 0);
   }
+}
+
+/**
+ * What the service refused or could not answer, for an error line; null once `signal` aborts. Any other error is a
+ * fault of this page and is thrown.
+ */
+export function serviceError(error, signal) {
+  if (signal?.aborted) return null;
+  if (!(error instanceof ApiError)) throw error;
+  return error;
 }
 
 export async function get(path, signal) {
   return request(path, { signal });
+}
+
+const read = new Map();
+
+/** As `get`, read once for all who ask; after a failure it is requested again. */
+export function getOnce(path) {
+  if (!read.has(path)) {
+    const answer = get(path);
+    answer.catch(() => read.delete(path));
+    read.set(path, answer);
+  }
+  return read.get(path);
 }
 
 /** A page of runs, with the time of the oldest run that was looked at for it. */
@@ -40,20 +60,15 @@ export async function getNews(path, tag, signal) {
 }
 
 export async function post(path, body = {}, signal) {
-  return request(path, {
-    signal,
-    method: "POST",
-    headers: JSON_BODY,
-    body: JSON.stringify(body),
-  });
+  return request(path, { signal, ...sending("POST", body) });
 }
 
 export async function put(path, body) {
-  return request(path, {
-    method: "PUT",
-    headers: JSON_BODY,
-    body: JSON.stringify(body),
-  });
+  return request(path, sending("PUT", body));
+}
+
+function sending(method, body) {
+  return { method, headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
 }
 
 export async function remove(path) {
@@ -61,21 +76,20 @@ export async function remove(path) {
   return response.status === 204 ? null : response.json();
 }
 
-/** As `post` for what may take long: `{ answer }`, or `{ job }` where the service goes on with it by that path. */
+/** As `post` for work that may take long: `{ answer }`, or `{ job }`, the path of the job that the service continues. */
 export async function begin(path, body, signal) {
-  const options = { signal, method: "POST", headers: JSON_BODY, body: JSON.stringify(body) };
-  return begun(await sent(`${path}?wait=false`, options));
+  return begun(await sent(`${path}?wait=false`, { signal, ...sending("POST", body) }));
 }
 
-/** The same of what a GET computes. */
+/** As `begin`, of what a GET computes. */
 export async function beginGet(path, signal) {
   return begun(await sent(`${path}?wait=false`, { signal }));
 }
 
-/** The same of a form with a file; `told(share)` as it goes. */
-export async function beginUpload(path, form, signal, told) {
+/** As `begin`, of a form with a file; `onProgress(share)` follows the upload. */
+export async function beginUpload(path, form, signal, onProgress) {
   const { upload } = await import("./upload.js");
-  return begun(await answered(path, () => upload(`${path}?wait=false`, form, signal, told)));
+  return begun(await answered(path, () => upload(`${path}?wait=false`, form, signal, onProgress)));
 }
 
 async function begun(response) {
@@ -121,8 +135,5 @@ async function refusal(response) {
     detail = undefined; // a proxy's or the server's own page, not the API's JSON
   }
   if (typeof detail === "string") return new ApiError(detail, response.status, fields);
-  return new ApiError(
-    `The service answered ${response.status} ${response.statusText}`.trim(),
-    response.status,
-  );
+  return new ApiError(`The service answered ${response.status} ${response.statusText}`.trim(), response.status);
 }

@@ -1,7 +1,7 @@
-// Questions before something that stays: a reason for what is voided or moved, a yes for what is accepted.
-// "calrig:done" tells whoever shows what was asked about that it has changed.
+// Dialogs before a lasting change: with a reason, or with a confirmation alone. The event "calrig:done" follows the
+// change, so that views read it.
 
-import { errorLine, h, held, markWrong } from "./dom.js";
+import { button, errorLine, h, held, markWrong } from "./dom.js";
 
 /**
  * Asks for a reason in a dialog and calls `act(reason)`; an error of `act` is shown there and the dialog
@@ -13,9 +13,14 @@ export function askReason(question, act) {
   return ask({ kind: "danger", ...question, fields }, () => act(reason.value));
 }
 
-/** As `askReason`, for what needs a yes and no reason. `before` are fields of the question's own. */
+/** As `askReason`, without a reason. `question.before` are further fields. */
 export function askConfirmation(question, act) {
   return ask({ ...question, fields: [question.before], kind: "primary" }, act);
+}
+
+/** A button that asks for confirmation, then calls `act`; `done()` follows its success. */
+export function confirmButton(text, question, act, done, props = {}) {
+  return button(text, async () => (await askConfirmation(question, act)) && done(), props);
 }
 
 function ask({ title, text, action, fields, kind }, act) {
@@ -65,7 +70,7 @@ function ask({ title, text, action, fields, kind }, act) {
         release();
       }
     });
-    window.addEventListener("hashchange", () => dialog.close(), { once: true }); // whoever goes elsewhere has left it
+    window.addEventListener("hashchange", () => dialog.close(), { once: true }); // leaving the view closes it
     const { bottom } = document.querySelector(".frame").getBoundingClientRect();
     dialog.style.setProperty("--above", `${bottom}px`);
     view.inert = true; // not a modal dialog: the stop buttons above it must take a click at any time

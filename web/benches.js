@@ -1,4 +1,4 @@
-// All rigs of all benches, hall by hall: what each does, what waits for it, what failed, which check is due.
+// All rigs of all benches by hall: state, queued runs, failures and overdue checks.
 
 import { getNews, get } from "./api.js";
 import { BenchFilters } from "./benchfilters.js";
@@ -13,10 +13,10 @@ const MOST_OVERDUE = 8;
 
 export async function benchesView({ root, query, signal }) {
   const error = errorLine("benches-error");
-  const told = h("p", { class: "for-screen-readers", role: "status" });
+  const announced = h("p", { class: "for-screen-readers", role: "status" });
   const shown = h("p", { id: "benches-shown", class: "muted", role: "status" });
   const overdue = h("section", { class: "card", id: "overdue", "aria-labelledby": "overdue-title", hidden: true });
-  const halls = new Halls((text) => (told.textContent = text));
+  const halls = new Halls((text) => (announced.textContent = text));
   const filters = new BenchFilters(query, () => apply());
   let benches = [];
   let tag = null;
@@ -24,7 +24,7 @@ export async function benchesView({ root, query, signal }) {
   function apply() {
     const { rigs, count } = filters.choose(benches);
     halls.choose(rigs);
-    const text = count ? `${rigs.size} of ${plural(count, "rig")} shown.` : "No bench has told of a rig yet.";
+    const text = count ? `${rigs.size} of ${plural(count, "rig")} shown.` : "No bench has reported a rig yet.";
     if (shown.textContent !== text) shown.textContent = text; // else it would be read out each time
   }
 
@@ -41,12 +41,12 @@ export async function benchesView({ root, query, signal }) {
   }
 
   await look();
-  fill(root, h("h1", {}, "Benches"), filters.element, shown, error.element, told, halls.element, overdue);
+  fill(root, h("h1", {}, "Benches"), filters.element, shown, error.element, announced, halls.element, overdue);
   again(look, LOOK_MS, error, signal);
   again(() => showOverdue(overdue, signal), OVERDUE_MS, error, signal, 0);
 }
 
-/** Does it after `first_ms` and then every so often while somebody looks at the page, until `signal` aborts. */
+/** Calls `act` after `first_ms` and then periodically while the page is visible, until `signal` aborts. */
 function again(act, every_ms, error, signal, first_ms = every_ms) {
   let timer;
   let began = Date.now();
@@ -57,8 +57,8 @@ function again(act, every_ms, error, signal, first_ms = every_ms) {
       if (!document.hidden) await act();
     } catch (problem) {
       if (signal.aborted || problem.status === 401) return;
-      if (problem.status === undefined) throw problem; // a fault of this page's own
-      error.say(problem.status === 0 ? null : problem); // the banner says that nobody answers
+      if (problem.status === undefined) throw problem; // a fault of this page
+      error.say(problem.status === 0 ? null : problem); // the banner reports the lost connection
     }
     if (!signal.aborted) timer = setTimeout(go, every_ms);
   };
@@ -70,7 +70,7 @@ function again(act, every_ms, error, signal, first_ms = every_ms) {
   timer = setTimeout(go, first_ms);
 }
 
-/** As `GET /api/rigs` has them, for the stop buttons: nobody asks for both. */
+/** The rigs as `GET /api/rigs` lists them, for the stop buttons, which need no request of their own. */
 function listed(benches) {
   return benches.flatMap(({ name: bench, hall, silent_since: last_seen_at, rigs }) =>
     rigs.map(({ name, stage, imu, simulated, state, run_id }) => {
@@ -87,8 +87,8 @@ async function showOverdue(place, signal) {
   place.hidden = units.length === 0;
   fill(
     place,
-    h("h2", { id: "overdue-title" }, "Units that are overdue"),
+    h("h2", { id: "overdue-title" }, "Overdue units"),
     h("ul", {}, lines),
-    units.length > MOST_OVERDUE && h("p", {}, h("a", { href: "#/units" }, "All units, and when each is due")),
+    units.length > MOST_OVERDUE && h("p", {}, h("a", { href: "#/units" }, "All units and due dates")),
   );
 }

@@ -1,19 +1,19 @@
-// Which of many rigs are shown: by hall, by what they do, by text. The address keeps it, for a reload or a link.
+// Filters of the rigs: hall, state and text. The address stores them, for a reload or a link.
 
 import { field, fill, h } from "./dom.js";
 
 const ANY = "";
 const NO_HALL = "(no hall)";
 
-/** What a rig does, one of the first five, and what is to be known of it beside. */
+/** States of a rig, one of the first five, and what else needs attention. */
 const KINDS = [
   ["idle", "idle", (rig) => rig.state === "idle"],
   ["busy", "busy", (rig) => rig.state === "busy" && !rig.run?.waiting_for],
-  ["mount", "waits for a mount", (rig) => rig.state === "busy" && Boolean(rig.run?.waiting_for)],
+  ["mount", "waits for mounting", (rig) => rig.state === "busy" && Boolean(rig.run?.waiting_for)],
   ["unreachable", "unreachable", (rig) => rig.state === "unreachable"],
   ["offline", "offline", (rig) => rig.state === "offline"],
   ["queued", "has runs waiting", (rig) => rig.queued.length > 0],
-  ["failed", "failed, not seen to", (rig) => rig.unresolved !== null],
+  ["failed", "failed, unresolved", (rig) => rig.unresolved !== null],
   ["overdue", "check overdue", (rig) => Boolean(rig.check?.overdue)],
 ];
 
@@ -21,7 +21,7 @@ export function hallOf(bench) {
   return bench.hall ?? NO_HALL;
 }
 
-/** What tells a rig from every other one. */
+/** A key that is unique to a rig. */
 export function keyOf(bench, rig) {
   return `${bench.name}/${rig.name}`;
 }
@@ -33,7 +33,7 @@ export function inOrder(a, b) {
 }
 
 export class BenchFilters {
-  /** `query` is the address's; `changed()` is called when somebody wants others. */
+  /** `query` is the address's; `changed()` is called when a filter changes. */
   constructor(query, changed) {
     this.hall = query.get("hall") ?? ANY;
     this.kind = KINDS.some(([key]) => key === query.get("show")) ? query.get("show") : ANY;
@@ -50,7 +50,7 @@ export class BenchFilters {
     const choices = [[ANY, "all"], ...KINDS].map(([key, title]) => this.#choice(key, title));
     this.element = h(
       "form",
-      { class: "card bench-filters", role: "search", "aria-label": "Which rigs are shown" },
+      { class: "card bench-filters", role: "search", "aria-label": "Filter rigs" },
       h(
         "div",
         { class: "fields two" },
@@ -60,7 +60,7 @@ export class BenchFilters {
       h(
         "fieldset",
         {},
-        h("legend", { class: "for-screen-readers" }, "What the rigs do"),
+        h("legend", { class: "for-screen-readers" }, "State of the rigs"),
         h("div", { class: "choices" }, choices),
       ),
     );
@@ -81,7 +81,7 @@ export class BenchFilters {
     return h("label", {}, input, h("span", {}, `${title} `, count));
   }
 
-  /** In the address, without a step back for each letter. */
+  /** Stores the filters in the address, without a history entry for each letter. */
   #keep() {
     const query = new URLSearchParams();
     const wanted = { hall: this.hall, show: this.kind, q: this.text.value.trim() };
@@ -90,7 +90,7 @@ export class BenchFilters {
     history.replaceState(history.state, "", `#/benches${text && `?${text}`}`);
   }
 
-  /** The keys of the rigs that are wanted, and how many there are; counts beside each choice follow. */
+  /** The keys of the rigs that match, and the number of all rigs; updates the count of each choice. */
   choose(benches) {
     const words = this.text.value.trim().toLowerCase().split(/\s+/);
     const all = benches.flatMap((bench) => bench.rigs.map((rig) => ({ bench, rig })));
@@ -105,11 +105,11 @@ export class BenchFilters {
     return { rigs: new Set(ofKind.filter(isHere).map(({ bench, rig }) => keyOf(bench, rig))), count: all.length };
   }
 
-  /** A hall that was asked for stays a choice, also while no bench is in it. */
+  /** Updates the halls; the selected one remains a choice while no bench is in it. */
   #showHalls(benches, found) {
     const names = [...new Set([...benches.map(hallOf), ...(this.hall ? [this.hall] : [])])].sort(inOrder);
-    const texts = names.map((name) => `${name} (${found.filter(({ bench }) => hallOf(bench) === name).length})`);
-    const options = [["", `all halls (${found.length})`], ...names.map((name, k) => [name, texts[k]])];
+    const count = (name) => found.filter(({ bench }) => hallOf(bench) === name).length;
+    const options = [["", `all halls (${found.length})`], ...names.map((name) => [name, `${name} (${count(name)})`])];
     const now = JSON.stringify(options);
     if (now === this.options) return; // an open list is not changed under the pointer for nothing
     this.options = now;

@@ -1,17 +1,17 @@
-// The rigs as tables, one a hall: rows stay where they are and only what has changed is written anew, so that
-// neither the keyboard's place nor a pressed button is lost while forty rigs go on.
+// The rigs as tables, one per hall. Only what has changed is redrawn, so that keyboard focus and pressed buttons
+// survive the updates of forty rigs.
 
 import { hallOf, inOrder, keyOf } from "./benchfilters.js";
 import { fill, h, headings, rigHref, runHref, runLink, runName, statusPill, unitLink } from "./dom.js";
 import { duration, fixed, moment, plural } from "./format.js";
 import { stopButton } from "./stop.js";
 
-const COLUMNS = ["Rig", "State", "Run", "Waiting", "To see to", "Stop"];
+const COLUMNS = ["Rig", "State", "Run", "Waiting", "Needs attention", "Stop"];
 const NAMED = 3;
-const WORDS = { waiting: "waits for a mount" };
+const WORDS = { waiting: "waits for mounting" };
 
 export class Halls {
-  /** `announce(text)` is for screen readers: of forty rigs only what needs somebody. */
+  /** `announce(text)` is for screen readers: only events that need attention. */
   constructor(announce) {
     this.element = h("div", { class: "halls" });
     this.announce = announce;
@@ -29,11 +29,11 @@ export class Halls {
       this.benches.get(bench.name).show(bench);
       for (const rig of bench.rigs) news.push(this.rows.get(keyOf(bench, rig)).show(rig, bench));
     }
-    const told = news.filter(Boolean);
-    if (told.length) this.announce(told.join(" "));
+    const events = news.filter(Boolean);
+    if (events.length) this.announce(events.join(" "));
   }
 
-  /** Shows the rigs of these keys alone, and what has none of them not at all; a bench without rigs stays. */
+  /** Shows only the rigs with these keys, and hides benches and halls without any; a bench without rigs stays. */
   choose(keys) {
     const isAll = keys.size === this.rows.size;
     for (const [key, { element }] of this.rows) element.hidden = !keys.has(key);
@@ -70,7 +70,7 @@ export class Halls {
   }
 }
 
-/** On a phone the rows are laid out as blocks, of which browsers forget that they were a table. */
+/** On a phone the rows are laid out as blocks, which browsers no longer expose as a table. */
 function asGrid(group, role, cells) {
   group.setAttribute("role", role);
   for (const row of group.rows) {
@@ -79,7 +79,7 @@ function asGrid(group, role, cells) {
   }
 }
 
-/** The row above a bench's rigs: who it is, and since when nobody has heard of it. */
+/** The row above a bench's rigs: its name and the age of its last report. */
 class BenchHead {
   constructor() {
     this.cell = h("th", { scope: "rowgroup", colspan: COLUMNS.length, role: "rowheader", class: "bench" });
@@ -91,11 +91,11 @@ class BenchHead {
     if (now === this.now) return;
     this.now = now;
     const heard = {
-      in_touch: () => h("span", { class: "muted" }, name === null ? "" : "in touch: last word less than 10 s ago"),
-      silent: () => h("span", { class: "away" }, `last word ${age(silent_s)} ago, `, moment(since)),
-      never_seen: () => h("span", { class: "away" }, "has not spoken yet"),
+      in_touch: () => h("span", { class: "muted" }, name === null ? "" : "connected: last report less than 10 s ago"),
+      silent: () => h("span", { class: "away" }, `last report ${age(silent_s)} ago, `, moment(since)),
+      never_seen: () => h("span", { class: "away" }, "no report yet"),
     }[state]();
-    const rest = undelivered && `; ${plural(undelivered.parcels, "piece")} not delivered yet`;
+    const rest = undelivered && `; ${plural(undelivered.parcels, "message")} not delivered yet`;
     const who = h("span", { class: "rig-name" }, name ?? "This machine");
     fill(this.cell, who, " ", heard, h("span", { class: "muted" }, rest));
   }
@@ -127,7 +127,7 @@ class RigRow {
     );
   }
 
-  /** What has happened that somebody should hear of, or null. */
+  /** Returns an event that needs attention, or null. */
   show(rig, bench) {
     const { run, run_id: id, queued, unresolved, check } = rig;
     const kind = kindOf(rig);
@@ -165,12 +165,12 @@ class RigRow {
     this.progress.value = fraction;
     const poses = total ? `${done} of ${plural(total, "pose")}` : `${Math.floor(100 * fraction)} % of the log`;
     const left = left_s === null ? "" : `, about ${duration(left_s)} left`;
-    const now = { offline: " when last heard of", paused: ", paused", waiting: ", paused" }[kind] ?? left;
+    const now = { offline: " at the last report", paused: ", paused", waiting: ", paused" }[kind] ?? left;
     this.left.textContent = poses + now;
   }
 }
 
-/** A time that is known about so well: the service tells it in steps. */
+/** A duration in the steps in which the service reports it. */
 function age(seconds) {
   if (seconds < 60) return `${seconds}\u00a0s`;
   if (seconds < 3600) return `${seconds / 60}\u00a0min`;

@@ -1,14 +1,14 @@
-// A unit's issued calibrations: the revision in force as its document has it, and every revision with its status.
+// A unit's issued calibrations: the document of the revision in force, and every revision with its status.
 
 import { get, post } from "./api.js";
 import { askReason } from "./ask.js";
 import { certificateButtons } from "./certificate.js";
-import { fill, h, headings, runLink, runName, statusPill, tableBox } from "./dom.js";
+import { button, dataTable, figureList, fill, h, paragraphs, runLink, runName, statusPill, tableRow } from "./dom.js";
 import { formats } from "./formats.js";
 import { isKnown, moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
-/** Two cards that read themselves anew after each release, withdrawal or draft. */
+/** Two cards that reload after each release, withdrawal or draft. */
 export class Calibrations {
   constructor(serial, signal) {
     this.path = `/api/units/${encodeURIComponent(serial)}`;
@@ -19,7 +19,7 @@ export class Calibrations {
     window.addEventListener("calrig:done", () => this.#readAgain(), { signal });
   }
 
-  /** After something was done here, unless the person has gone elsewhere meanwhile. */
+  /** After a change, unless the view was left in between. */
   async #readAgain() {
     if (this.unitIsGone) return;
     try {
@@ -45,19 +45,19 @@ export class Calibrations {
     fill(
       this.revisions,
       h("h2", { id: "revisions-title" }, "Revisions"),
-      tableBox("Revisions of this unit's calibration", this.#table(revisions)),
+      this.#table(revisions),
     );
   }
 
-  /** The newest draft, where something speaks against releasing it and a person has not decided yet. */
+  /** The newest draft, if it has warnings and awaits a decision. */
   #waiting([newest], current) {
     if (newest?.status !== "draft" || !newest.warnings.length) return null;
     const stays = current ? `Revision ${current.revision} stays in force until then.` : "None is in force until then.";
     return h(
       "div",
       { class: "verdict poor", role: "status", "data-testid": "draft-warnings" },
-      h("p", { class: "headline" }, `Revision ${newest.revision} is a draft: a person decides on its release. ${stays}`),
-      newest.warnings.map((reason) => h("p", {}, reason)),
+      h("p", { class: "headline" }, `Revision ${newest.revision} is a draft and needs a manual release. ${stays}`),
+      paragraphs(newest.warnings),
       h("p", {}, runLink(newest.run_id, "From run ")),
       may("releaser") && h("p", { class: "buttons" }, this.#release(newest)),
     );
@@ -71,15 +71,11 @@ export class Calibrations {
         h(
           "div",
           { class: "verdict unknown", role: "status", "data-testid": "stale" },
-          h("p", { class: "headline" }, "It rests on something that has changed since it was made."),
-          stale.map((reason) => h("p", {}, reason)),
+          h("p", { class: "headline" }, "Outdated basis: it has changed since this calibration was issued."),
+          paragraphs(stale),
           may("operator") && this.#redraft(document.run_id),
         ),
-      h(
-        "dl",
-        { class: "figures" },
-        figures(document, verdict).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
-      ),
+      figureList(figures(document, verdict)),
       h("p", { class: "muted sha" }, "SHA-256 ", h("code", { id: "sha256" }, document.sha256)),
       h(
         "p",
@@ -95,25 +91,26 @@ export class Calibrations {
 
   #table(revisions) {
     const rows = revisions.map((one) =>
-      h(
-        "tr",
+      tableRow(
+        one.revision,
+        [
+          statusPill(one.status.replace("_", " "), { "data-status": one.status }),
+          [moment(one.issued_at), one.issued_by && ` by ${one.issued_by}`],
+          runLink(one.run_id, "run "),
+          one.effects.map((name) => name.replaceAll("_", " ")).join(", ") || "–",
+          h("td", { class: "wrap" }, paragraphs([one.reason, ...one.warnings, ...one.stale].filter(Boolean))),
+          h("td", { class: "buttons" }, this.#actions(one)),
+        ],
         { class: one.status === "withdrawn" && "voided", "data-revision": one.revision },
-        h("th", { scope: "row" }, one.revision),
-        h("td", {}, statusPill(one.status.replace("_", " "), { "data-status": one.status })),
-        h("td", {}, moment(one.issued_at), one.issued_by && ` by ${one.issued_by}`),
-        h("td", {}, runLink(one.run_id, "run ")),
-        h("td", {}, one.effects.map((name) => name.replaceAll("_", " ")).join(", ") || "–"),
-        h("td", { class: "wrap" }, [one.reason, ...one.warnings, ...one.stale].filter(Boolean).map((text) => h("p", {}, text))),
-        h("td", { class: "buttons" }, this.#actions(one)),
       ),
     );
-    const head = headings("Revision", "Status", "Issued", "From", "Effects applied", "Why, and what has changed since", "");
-    return h("table", { id: "revisions-table" }, head, h("tbody", {}, rows));
+    const names = ["Revision", "Status", "Issued", "From", "Effects applied", "Reason and warnings", ""];
+    return dataTable("Revisions of this unit's calibration", names, rows, { id: "revisions-table" });
   }
 
   #actions(one) {
     if (!may("releaser")) return [];
-    const withdrawn = "It is kept, struck through, and can never be in force again.";
+    const withdrawn = "It is kept, struck through, and cannot be released again.";
     return [
       (one.status === "draft" || one.status === "superseded") && this.#release(one),
       one.status !== "withdrawn" && this.#action("Withdraw", one.revision, withdrawn),
@@ -121,37 +118,32 @@ export class Calibrations {
   }
 
   #release({ revision, warnings }) {
-    const text = ["It is put in force; the revision in force until now is superseded.", ...warnings].join(" ");
+    const text = ["It comes into force and supersedes the current revision.", ...warnings].join(" ");
     return this.#action("Release", revision, text);
   }
 
   #action(verb, revision, text) {
-    const path = `${this.path}/calibrations/${revision}`;
-    return h("button", { type: "button", on: { click: () => ask(verb, revision, text, path) } }, `${verb}…`);
+    const question = { title: `${verb} revision ${revision}?`, text, action: verb };
+    const act = (reason) => post(`${this.path}/calibrations/${revision}/${verb.toLowerCase()}`, { reason });
+    return button(`${verb}…`, () => askReason(question, act));
   }
 
   #redraft(runId) {
     const question = {
       title: `New draft from run ${runName(runId)}?`,
-      text: "Computed from the poses and effects that count now, with a number and a hash of its own.",
+      text: "Computed from the poses and effects currently included, with a new number and hash.",
       action: "Make the draft",
     };
     const make = (reason) => post(`${this.path}/calibrations`, { run_id: runId, reason });
-    return h("button", { type: "button", on: { click: () => askReason(question, make) } }, "New draft…");
+    return button("New draft…", () => askReason(question, make));
   }
-}
-
-function ask(verb, revision, text, path) {
-  askReason({ title: `${verb} revision ${revision}?`, text, action: `${verb} it` }, (reason) =>
-    post(`${path}/${verb.toLowerCase()}`, { reason }),
-  );
 }
 
 function none(revisions) {
   const draft = revisions.find(({ status }) => status === "draft");
   const words = draft
-    ? `None: revision ${draft.revision} is a draft and waits to be released.`
-    : "None: no completed run that counts determines the scale, or all revisions were withdrawn.";
+    ? `None: revision ${draft.revision} is a draft and has not been released.`
+    : "None: no valid completed run determines the scale, or all revisions were withdrawn.";
   return h("p", { class: "muted" }, words);
 }
 
@@ -169,13 +161,13 @@ function figures(document, verdict) {
     [
       "Expanded uncertainty",
       expanded === null
-        ? ["not known", h("small", { class: "words" }, "the rig states no reference")]
+        ? ["not known", h("small", { class: "words" }, "the rig has no reference")]
         : `${significant(expanded, 2, "°")} (k = ${significant(document.coverage_factor, 3)})`,
     ],
     ["Elevations", range(...document.range_deg, 0, "°")],
     ["Temperature", range(document.temperature_c?.min, document.temperature_c?.max, 1, "°C")],
     ["Issued", moment(document.issued_at)],
     ["From run", runLink(document.run_id)],
-    ["Verdict", h("span", { class: "words" }, verdict.says[0] ?? "not judged")],
-  ].filter(Boolean);
+    ["Verdict", h("span", { class: "words" }, verdict.says[0] ?? "no verdict")],
+  ];
 }

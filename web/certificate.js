@@ -1,8 +1,8 @@
-// A unit's certificate, and how the unit was handed in, which the certificate states.
+// A unit's certificate, and the item as received, which the certificate states.
 
 import { get, getBlob, put } from "./api.js";
 import { askConfirmation } from "./ask.js";
-import { errorLine, field, h, held } from "./dom.js";
+import { attempt, errorLine, field, h, saveFile } from "./dom.js";
 import { may } from "./me.js";
 
 const FIELDS = [
@@ -12,33 +12,21 @@ const FIELDS = [
   ["received_at", "Date of receipt", { type: "date" }],
   ["condition", "Condition at receipt", {}],
   ["description", "Description", {}],
-  ["interval_agreed_months", "Months until the next calibration, where agreed", { type: "number", min: 1, max: 600 }],
+  ["interval_agreed_months", "Agreed interval, months", { type: "number", min: 1, max: 600 }],
 ];
 
-/** Buttons for the certificate of a revision: to make it, and to say what it states of the unit. */
+/** Buttons for the certificate of a revision: to save it, and to edit the item as received. */
 export function certificateButtons(path, { unit, revision }) {
   const error = errorLine("certificate-error");
   const make = h("button", { type: "button", id: "certificate-pdf" }, "Certificate (PDF)");
-  make.addEventListener("click", async () => {
-    const release = held(make);
-    error.say(null);
-    try {
+  make.addEventListener("click", () =>
+    attempt([make], error, async () => {
       const file = await getBlob(`${path}/calibration?revision=${revision}&format=pdf`);
-      hand(file, `certificate-${unit}-revision-${revision}.pdf`);
-    } catch (problem) {
-      error.say(problem);
-    } finally {
-      release();
-    }
-  });
+      saveFile(file, `certificate-${unit}-revision-${revision}.pdf`);
+    }),
+  );
   const say = h("button", { type: "button", id: "item", on: { click: () => askItem(path, error) } }, "Item as received…");
   return { buttons: [make, may("operator") && say], error: error.element };
-}
-
-function hand(blob, name) {
-  const address = URL.createObjectURL(blob);
-  h("a", { href: address, download: name }).click();
-  URL.revokeObjectURL(address);
 }
 
 async function askItem(path, error) {
@@ -61,14 +49,14 @@ async function askItem(path, error) {
   });
   const question = {
     title: "Item as received",
-    text: "What its certificates state of it; what is left empty is not stated.",
+    text: "Stated on the unit's certificates. Empty fields are omitted.",
     action: "Save",
     before: rows,
   };
-  return askConfirmation(question, () => put(`${path}/item`, said(inputs, supplied)));
+  return askConfirmation(question, () => put(`${path}/item`, documentOf(inputs, supplied)));
 }
 
-function said(inputs, supplied) {
+function documentOf(inputs, supplied) {
   const document = { supplied: [] };
   for (const [name, input] of inputs) {
     const value = input.value.trim();

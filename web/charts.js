@@ -1,7 +1,7 @@
 // Figures as the service draws them, in the colours of the page's theme.
 
 import { fill, h } from "./dom.js";
-import { ApiError, get } from "./api.js";
+import { ApiError, get, serviceError } from "./api.js";
 import { localDigits } from "./format.js";
 
 const CONFIG = { responsive: true, displayModeBar: false, doubleClick: "reset" };
@@ -11,27 +11,28 @@ const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 const SCRIPT = new URL("./vendor/plotly-partial.min.js", import.meta.url);
 
 const HALF_DAY_MS = 43_200_000;
-const EMPTY = "Nothing is drawn: no value of it is known.";
+const EMPTY = "Nothing to plot: no values are known.";
+export const NONE_VALID = "No valid calibration yet. Only completed calibrations that are not voided are plotted.";
 
 let library;
 
-/** Plotly's own script, asked for with the first chart, while that chart's data are still under way. */
+/** Plotly's script, loaded with the first chart, in parallel to that chart's data. */
 function plotly() {
-  import("./paper.js").catch(() => {}); // where nobody answers, the next chart asks for it again
+  import("./paper.js").catch(() => {}); // if the service does not answer, the next chart requests it again
   library ??= new Promise((resolve, reject) => {
     const script = h("script", { src: SCRIPT.href });
     script.addEventListener("load", () => resolve(window.Plotly));
     script.addEventListener("error", () => {
       library = undefined;
       script.remove();
-      reject(new ApiError(`The charts' script ${SCRIPT.pathname} could not be loaded.`, 0));
+      reject(new ApiError(`The chart script ${SCRIPT.pathname} could not be loaded.`, 0));
     });
     document.head.append(script);
   });
   return library;
 }
 
-/** A chart with its caption, which says why where there is nothing in it. `draw(figure)` shows a figure, `load(path)` fetches one and shows it. */
+/** A chart with its caption, or the reason why it is empty. `draw(figure)` shows a figure, `load(path)` fetches it first. */
 export class Chart {
   #loads = 0;
 
@@ -67,7 +68,7 @@ export class Chart {
       const Plotly = await plotly();
       if (this.signal?.aborted || !this.plot.isConnected) return;
       this.problem.hidden = true;
-      this.plot.hidden = !figure.data.some(hasPoints); // axes of nothing tell nothing
+      this.plot.hidden = !figure.data.some(hasPoints); // empty axes say nothing
       this.empty.hidden = !this.plot.hidden;
       if (this.plot.hidden) return;
       const { data, layout } = inLocalTime(figure);
@@ -78,9 +79,9 @@ export class Chart {
   }
 
   #say(error) {
-    if (this.signal?.aborted) return;
-    if (!(error instanceof ApiError)) throw error;
-    fill(this.problem, error.message);
+    const problem = serviceError(error, this.signal);
+    if (!problem) return;
+    fill(this.problem, problem.message);
     this.problem.hidden = false;
   }
 }
@@ -89,7 +90,7 @@ function hasPoints({ x, y, z }) {
   return [y ?? x, z].some((values) => values?.some((value) => value !== null));
 }
 
-/** Times in the reader's own zone, as everywhere on the page; the service draws them in UTC. */
+/** Times in the local time zone, as everywhere on the page; the service's figures are in UTC. */
 function inLocalTime({ data, layout }) {
   if (layout.xaxis?.type !== "date") return { data, layout };
   const local = data.map((trace) => ({ ...trace, x: trace.x.map(localDigits) }));
@@ -106,11 +107,7 @@ function themed(layout) {
   const dressed = {
     ...layout,
     font: { ...layout.font, color: colour("--muted"), family: getComputedStyle(document.body).fontFamily },
-    hoverlabel: {
-      bgcolor: colour("--card"),
-      bordercolor: colour("--line"),
-      font: { color: colour("--text") },
-    },
+    hoverlabel: { bgcolor: colour("--card"), bordercolor: colour("--line"), font: { color: colour("--text") } },
     dragmode: TOUCH.matches ? false : "zoom", // a finger scrolls the page
   };
   for (const name of Object.keys(layout).filter((key) => /^[xy]axis\d*$/.test(key))) {

@@ -1,9 +1,9 @@
-// Units side by side: figures with their errors, over time, residuals overlaid, and what the spread means.
+// Units compared: figures with standard errors, trends, residuals, and the spread against repeatability.
 
 import { get } from "./api.js";
-import { Chart } from "./charts.js";
-import { fill, h, headings, runLink, suspectTag, tableBox, unitLink } from "./dom.js";
-import { isKnown, moment, plural, plusMinus, range, significant } from "./format.js";
+import { Chart, NONE_VALID } from "./charts.js";
+import { card, dataTable, fill, h, numberCell, runLink, suspectTag, tableRow, unitLink } from "./dom.js";
+import { isKnown, moment, plusMinus, range, significant } from "./format.js";
 
 const CHARTS = [
   ["residuals", "Calibrated residual of each unit's latest run"],
@@ -13,7 +13,9 @@ const CHARTS = [
 ];
 
 const COLOURS = 8;
-const NONE_COUNT = "No completed calibration that counts: nothing is drawn of other runs, or of voided ones.";
+const COLOUR_HINT =
+  `Tick up to ${COLOURS} units to colour them in the charts; the others are grey. Without ticks the first ${COLOURS} ` +
+  "of this table are coloured.";
 
 export async function compareView({ root, query, signal }) {
   const picked = query.getAll("unit");
@@ -23,7 +25,7 @@ export async function compareView({ root, query, signal }) {
   if (!picked.length && !all) return fill(root, heading, picker(units, picked));
   const asked = new URLSearchParams(picked.map((serial) => ["unit", serial]));
   const comparison = await get(`/api/compare?${asked}`, signal);
-  const charts = CHARTS.map(([name, title]) => [name, new Chart(`compare-${name}`, title, { signal, empty: NONE_COUNT })]);
+  const charts = CHARTS.map(([name, title]) => [name, new Chart(`compare-${name}`, title, { signal, empty: NONE_VALID })]);
   const draw = (chosen) => {
     const wanted = new URLSearchParams([...asked, ...chosen.map((serial) => ["chosen", serial])]);
     return Promise.all(charts.map(([name, chart]) => chart.load(`/api/compare/figures/${name}?${wanted}`)));
@@ -33,35 +35,20 @@ export async function compareView({ root, query, signal }) {
     heading,
     picker(units, picked),
     summary(comparison, draw),
-    h(
-      "div",
-      { class: "charts" },
-      charts.map(([, chart]) => chart.element),
-    ),
+    h("div", { class: "charts" }, charts.map(([, chart]) => chart.element)),
     everyRun(comparison.units),
   );
   await draw([]);
 }
 
 function picker(units, chosen) {
-  if (!units.length)
-    return h("p", { class: "card muted" }, "No unit yet: a unit appears with its first run.");
-  const boxes = units.map(({ serial }) =>
-    h("input", { type: "checkbox", value: serial, checked: chosen.includes(serial) }),
-  );
+  if (!units.length) return h("p", { class: "card muted" }, "No units yet. A unit appears with its first run.");
+  const boxes = units.map(({ serial }) => h("input", { type: "checkbox", value: serial, checked: chosen.includes(serial) }));
+  const labels = boxes.map((box) => h("label", {}, box, h("span", { class: "serial" }, box.value)));
   const form = h(
     "form",
     { class: "card", id: "pick" },
-    h(
-      "fieldset",
-      {},
-      h("legend", {}, "Units"),
-      h(
-        "div",
-        { class: "pick" },
-        boxes.map((box) => h("label", {}, box, h("span", { class: "serial" }, box.value))),
-      ),
-    ),
+    h("fieldset", {}, h("legend", {}, "Units"), h("div", { class: "pick" }, labels)),
     h(
       "div",
       { class: "buttons" },
@@ -82,40 +69,26 @@ function summary({ units, spread, repeatability }, draw) {
   const colours = units.length > COLOURS ? colourBoxes(sorted, draw) : new Map();
   const rows = sorted.map((one) => {
     const latest = one.runs.at(-1);
-    return h(
-      "tr",
+    return tableRow(
+      [colours.get(one.unit), unitLink(one.unit), one.changed && tag("changed")],
+      [
+        largestChange(one),
+        [one.due_at ? moment(one.due_at) : "–", one.overdue && tag("overdue")],
+        ...(latest ? figureCells(latest) : [h("td", { colspan: "6", class: "muted" }, "no valid completed run")]),
+        numberCell(one.runs.length.toLocaleString()),
+        numberCell(isKnown(one.drift_deg_per_day) ? significant(one.drift_deg_per_day, 2, "°/day") : "–"),
+      ],
       { "data-unit": one.unit },
-      h("th", { scope: "row" }, colours.get(one.unit), unitLink(one.unit), one.changed && h("span", { class: "tag warns" }, "changed")),
-      largestChange(one),
-      h("td", {}, one.due_at ? moment(one.due_at) : "–", one.overdue && h("span", { class: "tag warns" }, "overdue")),
-      latest
-        ? figureCells(latest)
-        : h("td", { colspan: "6", class: "muted" }, "no completed run that counts"),
-      h("td", { class: "number" }, one.runs.length.toLocaleString()),
-      h("td", { class: "number" }, isKnown(one.drift_deg_per_day) ? significant(one.drift_deg_per_day, 2, "°/day") : "–"),
     );
   });
-  return h(
-    "section",
-    { class: "card", "aria-labelledby": "compare-title" },
-    h("h2", { id: "compare-title" }, "Each unit's latest run"),
+  return card(
+    "compare",
+    "Latest run of each unit",
     h("p", { id: "compare-changed" }, h("strong", {}, repeatability.says)),
-    colours.size > 0 &&
-      h(
-        "p",
-        { class: "muted" },
-        `The charts have ${COLOURS} colours: tick the units that are to have one, all others are grey. Before you do, `,
-        "the first of this table have them.",
-      ),
-    tableBox(
-      "Units compared",
-      h(
-        "table",
-        { id: "compare-table" },
-        headings("Unit", "Change between runs", "Due", ...FIGURES, "#Runs", "#Bias drift"),
-        h("tbody", {}, rows),
-      ),
-    ),
+    colours.size > 0 && h("p", { class: "muted" }, COLOUR_HINT),
+    dataTable("Units compared", ["Unit", "Change between runs", "Due", ...FIGURES, "#Runs", "#Bias drift"], rows, {
+      id: "compare-table",
+    }),
     h(
       "div",
       { class: "spread", "data-testid": "spread" },
@@ -126,14 +99,16 @@ function summary({ units, spread, repeatability }, draw) {
   );
 }
 
-/** What changed most from one run to the next, in full where it is more than repeatability. */
+const tag = (text) => h("span", { class: "tag warns" }, text);
+
+/** The largest change between successive runs, in full if it exceeds repeatability. */
 function largestChange({ change, changed }) {
-  if (!change) return h("td", {}, "–");
+  if (!change) return "–";
   if (changed) return h("td", { class: "wrap" }, change.says);
-  return h("td", { title: change.says }, change.verdict === "unchanged" ? "repeats" : "not known yet");
+  return h("td", { title: change.says }, change.verdict === "unchanged" ? "unchanged" : "not known yet");
 }
 
-/** A box for each unit by serial; no more than there are colours can be ticked. */
+/** A checkbox for each unit, by serial; at most as many as there are colours can be ticked. */
 function colourBoxes(units, draw) {
   const boxes = units.map(({ unit }) =>
     h("input", { type: "checkbox", value: unit, "aria-label": `${unit} in colour`, class: "colour" }),
@@ -150,14 +125,13 @@ function colourBoxes(units, draw) {
 const FIGURES = ["Finished", "#Bias", "#Scale", "#RMS error, raw", "#RMS error, calibrated", "#Temperature"];
 
 function figureCells(run) {
-  const number = (text) => h("td", { class: "number" }, text);
   return [
     h("td", {}, moment(run.finished_at)),
-    number(plusMinus(run.bias_deg, run.bias_std_deg, "°")),
-    number(plusMinus(run.scale, run.scale_std)),
-    number(significant(run.rms_raw_deg, 3, "°")),
-    number(significant(run.rms_calibrated_deg, 3, "°")),
-    number(range(run.temperature_c?.min, run.temperature_c?.max, 1, "°C")),
+    numberCell(plusMinus(run.bias_deg, run.bias_std_deg, "°")),
+    numberCell(plusMinus(run.scale, run.scale_std)),
+    numberCell(significant(run.rms_raw_deg, 3, "°")),
+    numberCell(significant(run.rms_calibrated_deg, 3, "°")),
+    numberCell(range(run.temperature_c?.min, run.temperature_c?.max, 1, "°C")),
   ];
 }
 
@@ -165,7 +139,7 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within, s
   return h(
     "div",
     {},
-    h("h3", {}, `${name}: spread of the units and repeatability`),
+    h("h3", {}, `${name}: spread and repeatability`),
     h(
       "p",
       {},
@@ -176,8 +150,8 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within, s
       h(
         "p",
         {},
-        `Re-clamping adds ${significant(repeats.reclamping_std, 2, unit)}`,
-        isKnown(repeats.day_std) && `, the day ${significant(repeats.day_std, 2, unit)}`,
+        `Remounting adds ${significant(repeats.reclamping_std, 2, unit)}`,
+        isKnown(repeats.day_std) && `, day to day ${significant(repeats.day_std, 2, unit)}`,
         " (over all units).",
       ),
     h("p", { class: "muted" }, says),
@@ -185,23 +159,12 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within, s
 }
 
 function everyRun(units) {
-  const rows = units.flatMap(({ unit, runs }) =>
-    runs
-      .toReversed()
-      .map((run) =>
-        h(
-          "tr",
-          {},
-          h("th", { scope: "row" }, unitLink(unit)),
-          h("td", {}, runLink(run.run_id), suspectTag(run.suspect)),
-          figureCells(run),
-        ),
-      ),
-  );
+  const row = (unit, run) => tableRow(unitLink(unit), [[runLink(run.run_id), suspectTag(run.suspect)], ...figureCells(run)]);
+  const rows = units.flatMap(({ unit, runs }) => runs.toReversed().map((run) => row(unit, run)));
   return h(
     "details",
     { class: "card" },
-    h("summary", {}, `All ${plural(rows.length, "run")} that count`),
-    tableBox("All runs", h("table", {}, headings("Unit", "Run", ...FIGURES), h("tbody", {}, rows))),
+    h("summary", {}, `Valid runs (${rows.length})`),
+    dataTable("All runs", ["Unit", "Run", ...FIGURES], rows),
   );
 }

@@ -1,8 +1,8 @@
-// The diagnosis of what bias and scale leave of a run: the button, what was found, what to do about it.
+// The diagnosis of a run's residual: the button, the effects found, and their remedies.
 
-import { ApiError, get } from "./api.js";
+import { get, serviceError } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, held, runName } from "./dom.js";
+import { errorLine, figureList, fill, h, held, paragraphs, runName, warningBox } from "./dom.js";
 import { plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 import { Together } from "./together.js";
@@ -27,12 +27,7 @@ export class DiagnosisPanel {
     this.element = h(
       "section",
       { class: "card diagnosis", id: "diagnosis", "aria-labelledby": "diagnosis-title", hidden: true },
-      h(
-        "div",
-        { class: "diagnosis-head" },
-        h("h2", { id: "diagnosis-title" }, "Diagnosis"),
-        this.button,
-      ),
+      h("div", { class: "diagnosis-head" }, h("h2", { id: "diagnosis-title" }, "Diagnosis"), this.button),
       this.state,
       this.work.element,
       this.together.element,
@@ -50,11 +45,7 @@ export class DiagnosisPanel {
     const found = JSON.stringify(run.diagnosis);
     if (!run.diagnosis || found === this.shown) return;
     this.shown = found;
-    this.#draw(run.diagnosis).catch((error) => {
-      if (this.signal.aborted) return;
-      if (!(error instanceof ApiError)) throw error;
-      this.error.say(error);
-    });
+    this.#draw(run.diagnosis).catch((error) => this.error.say(serviceError(error, this.signal)));
   }
 
   #ready() {
@@ -62,8 +53,8 @@ export class DiagnosisPanel {
     this.button.classList.toggle("primary", !this.run.diagnosis);
     this.state.textContent = this.run.diagnosis
       ? outdated(this.run)
-      : "Searches a catalogue of physical effects for what bias and scale leave unexplained, and gives the " +
-        "error before and after on held-out poses (cross-validation). Takes a few seconds.";
+      : "Searches a catalogue of physical effects for causes of the residual. Reports the RMS error before and after " +
+        "on held-out poses (cross-validation). Takes a few seconds.";
   }
 
   get #address() {
@@ -84,8 +75,7 @@ export class DiagnosisPanel {
       if (await carryOut()) await this.reread(); // its verdict has changed with it
       else says = CANCELLED;
     } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      this.error.say(error);
+      this.error.say(serviceError(error));
     } finally {
       this.isBusy = false;
       release();
@@ -118,7 +108,7 @@ export class DiagnosisPanel {
         !isAnswered(followers) &&
         followUpBox(diagnosis, this.path, following, signal),
       effects.map(({ element }) => element),
-      diagnosis.warnings.length > 0 && warnings(diagnosis.warnings),
+      warningBox(diagnosis.warnings, "diagnosis-warnings"),
       this.run.rig && commonError(this.run.rig, signal),
     );
     bars.load(`${this.path}/figures/diagnosis`);
@@ -128,7 +118,7 @@ export class DiagnosisPanel {
 
 function outdated({ diagnosis, result }) {
   return diagnosis.runs.length === 1 && diagnosis.n_poses > result.n_poses
-    ? `Poses were excluded since: this is of ${diagnosis.n_poses}, ${result.n_poses} count now. Diagnose again.`
+    ? `Outdated: this diagnosis used ${diagnosis.n_poses} poses, ${result.n_poses} are included now. Diagnose again.`
     : "";
 }
 
@@ -153,13 +143,9 @@ function summary(diagnosis) {
     {},
     h("div", { class: `verdict ${diagnosis.grade ?? "unknown"}`, "data-testid": "diagnosis-verdict" }, [
       h("p", { class: "headline" }, headline),
-      sentences.map((sentence) => h("p", {}, sentence)),
+      paragraphs(sentences),
     ]),
-    h(
-      "dl",
-      { class: "figures", id: "before-after" },
-      rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
-    ),
+    figureList(rows, { id: "before-after" }),
     h(
       "p",
       { class: "muted" },
@@ -171,28 +157,11 @@ function summary(diagnosis) {
   );
 }
 
-function warnings(sentences) {
-  return h(
-    "div",
-    { class: "cautions", "data-testid": "diagnosis-warnings" },
-    h("h3", {}, "Warnings"),
-    h(
-      "ul",
-      {},
-      sentences.map((sentence) => h("li", {}, sentence)),
-    ),
-  );
-}
-
-/** The rig's error map, looked up when somebody opens it. */
+/** The rig's error map, read when the user opens it. */
 function commonError(rig, signal) {
   const body = h("div", { id: "error-map" });
-  const folded = h(
-    "details",
-    { "data-testid": "error-map-details" },
-    h("summary", {}, `Error map of rig ${rig}`),
-    body,
-  );
+  const title = h("summary", {}, `Error map of rig ${rig}`);
+  const folded = h("details", { "data-testid": "error-map-details" }, title, body);
   folded.addEventListener("toggle", () => folded.open && !body.hasChildNodes() && show(), { signal });
   return folded;
 
@@ -202,14 +171,12 @@ function commonError(rig, signal) {
       const map = await get(`${path}/error-map`, signal);
       const says = h("p", { class: "muted" }, map.says);
       if (!map.stage_deg.length) return fill(body, says);
-      const title = `The stage, solved together with ${plural(map.units, "unit")}`;
+      const title = `Stage error, from ${plural(map.units, "unit")}`;
       const chart = new Chart("error-map-chart", title, { low: true, signal });
       fill(body, chart.element, says);
       await chart.load(`${path}/figures/error-map`);
     } catch (error) {
-      if (signal.aborted) return;
-      if (!(error instanceof ApiError)) throw error;
-      fill(body, h("p", { class: "error", role: "alert" }, error.message));
+      fill(body, h("p", { class: "error", role: "alert" }, serviceError(error, signal)?.message));
     }
   }
 }

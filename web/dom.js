@@ -43,7 +43,7 @@ export function keepingFocus(element, change) {
   const had = document.activeElement;
   const isInside = element.contains(had);
   change();
-  const now = document.activeElement; // a field that was taken out and put back has lost the focus, too
+  const now = document.activeElement; // a field that was removed and inserted again has lost the focus
   const isKept = now === had && had.checkVisibility();
   const isElsewhere = now !== had && now !== document.body;
   if (!isInside || isKept || isElsewhere) return;
@@ -100,10 +100,56 @@ export function field(id, label, input) {
   return h("div", { class: "field" }, h("label", { for: id }, label), input);
 }
 
+/** The input of a unit's serial number. */
+export function serialInput(value = null) {
+  return h("input", { id: "unit", type: "text", required: true, autocomplete: "off", spellcheck: "false", value });
+}
+
+/** A drop-down list of [value, text] pairs, or of values that are their own text. */
+export function select(props, options, chosen) {
+  const option = ([value, text = value]) => h("option", { value, selected: value === chosen }, text);
+  return h("select", props, options.map((one) => option([one].flat())));
+}
+
+/** A card under a heading whose id is the card's with "-title". */
+export function card(id, title, ...content) {
+  const props = { class: "card", id, "aria-labelledby": `${id}-title` };
+  return h("section", props, h("h2", { id: `${id}-title` }, title), content);
+}
+
+/** Named figures: pairs of a name and a value; what is null or false is left out. */
+export function figureList(rows, props = {}, ...more) {
+  const pairs = rows.filter(Boolean).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)));
+  return h("dl", { class: "figures", ...props }, pairs, more);
+}
+
+/** A paragraph for each sentence, or a list of them. */
+export const paragraphs = (sentences) => sentences.map((sentence) => h("p", {}, sentence));
+export const bullets = (items, props = {}) => h("ul", props, items.map((item) => h("li", {}, item)));
+
+/** Sentences of caution under their heading; nothing where there are none. */
+export function warningBox(sentences, testid) {
+  if (!sentences.length) return null;
+  return h("div", { class: "cautions", "data-testid": testid }, h("h3", {}, "Warnings"), bullets(sentences));
+}
+
 /** A table in a box of its own that scrolls sideways on a narrow screen, also by keyboard. */
 export function tableBox(label, table) {
   return h("div", { class: "table-box", role: "region", "aria-label": `Table: ${label}`, tabindex: "0" }, table);
 }
+
+/** A table with headings in such a box; `rows` are its rows, or its body. */
+export function dataTable(label, names, rows, props = {}) {
+  return tableBox(label, h("table", props, headings(...names), rows instanceof Node ? rows : h("tbody", {}, rows)));
+}
+
+/** A row of it under a heading; what is no cell among `cells` becomes one. */
+export function tableRow(head, cells, props = {}) {
+  const cell = (one) => (one instanceof HTMLTableCellElement ? one : h("td", {}, one));
+  return h("tr", props, h("th", { scope: "row" }, head), cells.map(cell));
+}
+
+export const numberCell = (text) => h("td", { class: "number" }, text);
 
 /** A table's head; a name that begins with "#" stands over numbers, and none at all over buttons. */
 export function headings(...names) {
@@ -141,7 +187,12 @@ export function markWrong(form, fields = []) {
   return first;
 }
 
-/** Disables buttons while what they ask for is done. What it gives enables them, and one that had the focus has it again. */
+/** A button that calls `click`. */
+export function button(text, click, props = {}) {
+  return h("button", { type: "button", ...props, on: { click } }, text);
+}
+
+/** Disables buttons during a request. The function returned enables them, and gives one that had the focus it again. */
 export function held(...buttons) {
   const had = document.activeElement;
   for (const button of buttons) button.disabled = true;
@@ -153,25 +204,36 @@ export function held(...buttons) {
 }
 
 /**
- * What a form does when it is submitted: `send` runs with the button disabled; what it throws stands in the error
- * line and goes to `failed`; the fields that it names are marked, and the first of them has the focus.
+ * Has a form call `send` when it is submitted, with the button disabled. The error line shows what it throws; the fields
+ * that the error names are marked, and the first of them gets the focus.
  */
-export function onSubmit(form, button, error, send, failed = () => {}) {
-  form.addEventListener("submit", async (event) => {
+export function onSubmit(form, button, error, send) {
+  form.addEventListener("submit", (event) => {
     event.preventDefault();
-    const release = held(button);
-    error.say(null);
     markWrong(form);
-    try {
-      await send();
-    } catch (problem) {
-      error.say(problem);
-      failed(problem);
-      markWrong(form, problem.fields)?.focus();
-    } finally {
-      release();
-    }
+    return attempt([button], error, send, (problem) => markWrong(form, problem.fields)?.focus());
   });
+}
+
+/** Calls `act` with the buttons disabled; the error line shows what it throws. */
+export async function attempt(buttons, error, act, failed = () => {}) {
+  const release = held(...buttons);
+  error.say(null);
+  try {
+    await act();
+  } catch (problem) {
+    error.say(problem);
+    failed(problem);
+  } finally {
+    release();
+  }
+}
+
+/** Has the browser save what is in memory as a file. */
+export function saveFile(blob, name) {
+  const address = URL.createObjectURL(blob);
+  h("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
 /** A line for an error near what caused it; empty and hidden until `say` is called. */

@@ -1,9 +1,9 @@
-// One effect of a diagnosis: what it is, how sure that is, what it looks like, and putting it in force.
+// One effect of a diagnosis: parameters, evidence, chart, and its acceptance.
 
 import { post } from "./api.js";
 import { askConfirmation, askReason } from "./ask.js";
 import { Chart } from "./charts.js";
-import { h, headings, runName, tableBox } from "./dom.js";
+import { bullets, dataTable, figureList, h, numberCell, runName, tableRow } from "./dom.js";
 import {
   candidateWords,
   covariateWords,
@@ -35,11 +35,7 @@ export function effectCard(effect, k, { path, run }, signal) {
       change(effect),
       figures(effect),
       suspects(effect),
-      h(
-        "ul",
-        { class: "evidence" },
-        effect.evidence.map((sentence) => h("li", {}, evidenceWords(sentence))),
-      ),
+      bullets(effect.evidence.map(evidenceWords), { class: "evidence" }),
       h("p", {}, h("strong", {}, "Remedy: "), `${effect.remedy}.`),
       considered(effect),
       effect.verdict === "named" && !effect.changed && acceptance(effect, title, path, run),
@@ -56,19 +52,15 @@ function figures(effect) {
     ["Origin", originWords(effect.origin)],
     ["Family-wise p-value", pValue(effect)],
   ];
-  return h(
-    "dl",
-    { class: "figures" },
-    rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
-    formula && h("div", { class: "formula" }, h("dt", {}, "Added to the reading"), h("dd", {}, formula)),
-  );
+  const added = formula && h("div", { class: "formula" }, h("dt", {}, "Added to the reading"), h("dd", {}, formula));
+  return figureList(rows, {}, added);
 }
 
-/** Between which runs it changed; nothing of what was the same in all of them. */
+/** The runs between which it changed; null if it was constant. */
 function change({ changed }) {
   if (!changed) return null;
   const [from, to] = [changed.from, changed.to].map(runName);
-  const words = `Changed from run ${from} to run ${to}: the values are the later less the earlier ones.`;
+  const words = `Changed from run ${from} to run ${to}. The values are differences, later minus earlier.`;
   return h("p", { class: "changed", "data-testid": "changed" }, words);
 }
 
@@ -84,13 +76,7 @@ function suspects({ verdict, name, confusable_with: others }) {
 
 function considered(effect) {
   const rows = effect.considered.map(({ name, behind, why }) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, candidateWords(name)),
-      h("td", { class: "number" }, significant(behind, 3)),
-      h("td", {}, why ?? "–"),
-    ),
+    tableRow(candidateWords(name), [numberCell(significant(behind, 3)), why ?? "–"]),
   );
   return h(
     "details",
@@ -99,19 +85,16 @@ function considered(effect) {
     h(
       "p",
       { class: "muted" },
-      "ΔBIC: −2 log likelihood, with log n for each parameter, beyond that of the best; all the other effects are ",
-      "in the model.",
+      "ΔBIC: Bayesian information criterion of the candidate minus that of the best one, with all other effects in the ",
+      "model.",
     ),
-    tableBox(
-      "Candidates considered",
-      h("table", {}, headings("Candidate", "#ΔBIC", "Why"), h("tbody", {}, rows)),
-    ),
+    dataTable("Candidates considered", ["Candidate", "#ΔBIC", "Why"], rows),
   );
 }
 
 /**
- * The button, or since when it is accepted and the way back. Where an accepted effect goes depends on where it
- * comes from; what cannot be accepted the service says. "calrig:done" has all of it shown anew.
+ * The button, or the time of acceptance and the button that revokes it. The effect's scope decides whether unit or rig
+ * keeps it. The service refuses what cannot be accepted.
  */
 function acceptance(effect, title, path, run) {
   const ofRig = scopeOf(effect) === "rig";
@@ -121,13 +104,13 @@ function acceptance(effect, title, path, run) {
     return may("releaser") && h("button", { type: "button", id, "aria-label": label, on: { click } }, text);
   };
   if (effect.accepted_at) {
-    const words = ["Accepted ", moment(effect.accepted_at), `: from then on it belongs to ${keeper}.`];
+    const words = ["Accepted ", moment(effect.accepted_at), `: it belongs to ${keeper}.`];
     const back = () =>
       askReason(
         {
-          title: `Withdraw “${title}”?`,
-          text: `It belongs to ${keeper} no more; what was accepted before it is in force again.`,
-          action: "Withdraw it",
+          title: `Revoke the acceptance of “${title}”?`,
+          text: `The effect no longer belongs to ${keeper}; an earlier acceptance applies again.`,
+          action: "Revoke",
         },
         (reason) => post(`${path}/diagnosis/withdraw`, { effects: [effect.name], reason }),
       );
@@ -135,7 +118,7 @@ function acceptance(effect, title, path, run) {
       "div",
       { class: "buttons" },
       h("p", { class: "accepted", role: "status" }, words),
-      offer(`take-back-${effect.name}`, "Withdraw…", back),
+      offer(`take-back-${effect.name}`, "Revoke…", back),
     );
   }
   const accept = () =>
@@ -143,9 +126,9 @@ function acceptance(effect, title, path, run) {
       {
         title: `Accept “${title}”?`,
         text:
-          `From now on it belongs to ${keeper}` +
-          (ofRig ? "; a rig's error is never applied in flight." : ", as it is exported and applied in flight."),
-        action: "Accept it",
+          `The effect will belong to ${keeper}` +
+          (ofRig ? ". A rig's error is never applied in flight." : ", which is exported and applied in flight."),
+        action: "Accept",
       },
       () => post(`${path}/diagnosis/accept`, { effects: [effect.name] }),
     );

@@ -1,23 +1,16 @@
-// Effects in plain words, all of them the service's own: `GET /api/effects`, read once.
+// Titles, units and formulas of effects, from the service's catalogue (`GET /api/effects`).
 
-import { get } from "./api.js";
+import { getOnce } from "./api.js";
 import { plusMinus, significant } from "./format.js";
 
-let reading;
 let catalogue = new Map();
 
-/** Resolves once the catalogue is here; what the other functions say rests on it. */
+/** Loads the catalogue, which the other functions use. */
 export async function knowEffects() {
-  reading ??= get("/api/effects");
-  try {
-    catalogue = new Map((await reading).map((effect) => [effect.name, effect]));
-  } catch (error) {
-    reading = undefined; // to be asked for again
-    throw error;
-  }
+  catalogue = new Map((await getOnce("/api/effects")).map((effect) => [effect.name, effect]));
 }
 
-/** An effect's name for a heading; one that the service does not know any more is shown as it was stored. */
+/** An effect's title for a heading; one that the catalogue no longer has is shown as it was stored. */
 export function effectTitle({ name, covariate }) {
   if (name === "unnamed") return `Something that follows ${covariateWords(covariate)}`;
   return catalogue.get(name)?.title ?? words(name);
@@ -38,7 +31,7 @@ export function originWords(origin) {
   return [...catalogue.values()].find((effect) => effect.origin === origin)?.origin_title ?? origin;
 }
 
-/** What is added to the reading, in symbols; nothing where the service does not know. */
+/** What the effect adds to the reading, in symbols; undefined if the catalogue does not have it. */
 export function formulaOf({ name }) {
   return catalogue.get(name)?.formula;
 }

@@ -1,18 +1,18 @@
-// An ambiguous diagnosis leads here: the run that separates the suspects, or why there is none.
+// After an ambiguous diagnosis: the run that distinguishes the candidates, or why there is none.
 
-import { ApiError } from "./api.js";
+import { serviceError } from "./api.js";
 import { errorLine, h, held, runHref, runLink } from "./dom.js";
 import { candidateWords } from "./effects.js";
 import { duration, plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 
 const DESIGN = {
-  doing: "Designing the run, pose by pose: nothing moves before that is done.",
+  doing: "Designing the run. Nothing moves before the design is complete.",
   share: "it is done",
 };
 const UNDER_WAY = new Set(["queued", "running", "paused", "interrupted"]);
 
-/** The runs that followed one up, the latest first: what each has come to, by its own diagnosis. */
+/** The follow-up runs, latest first, each with its outcome. */
 export function followedBy(runs) {
   if (!runs.length) return null;
   return h(
@@ -24,20 +24,20 @@ export function followedBy(runs) {
 }
 
 function outcome({ status, diagnosis, voided, error }) {
-  if (voided) return "voided, so that it answers nothing.";
+  if (voided) return "voided, without an answer.";
   if (UNDER_WAY.has(status)) return `${status}; its diagnosis will be of both runs together.`;
-  if (status !== "completed") return `${status}, so that it answers nothing. ${error ?? ""}`;
-  if (!diagnosis) return "completed; its diagnosis, of both runs together, is still to be made there.";
+  if (status !== "completed") return `${status}, without an answer. ${error ?? ""}`;
+  if (!diagnosis) return "completed; open it to diagnose both runs together.";
   const found = diagnosis.effects.map(({ name, verdict }) => `${candidateWords(name)} (${verdict})`);
-  return `both runs together say: ${found.join(", ") || "no effect"}.`;
+  return `joint diagnosis of both runs: ${found.join(", ") || "no effect"}.`;
 }
 
-/** Whether the question that the diagnosis left has been asked already, so that it is not to be asked again. */
+/** Whether a follow-up run exists already, so that no further one is offered. */
 export function isAnswered(runs) {
   return runs.some(({ status, voided }) => !voided && (status === "completed" || UNDER_WAY.has(status)));
 }
 
-/** What a run would say that follows one up, and its button; `followers()` are the runs that have done so. */
+/** What a follow-up run is expected to show, and its button; `followers()` are the follow-up runs so far. */
 export function followUpBox({ follow_up: planned }, path, followers, signal) {
   if (!planned) {
     return h(
@@ -63,13 +63,12 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
     try {
       const isDone = await carryOut();
       if (signal.aborted) return;
-      let id = isDone && (work.answer?.id ?? work.result.split("/").at(-1));
-      id ||= (await followers()).find(({ status }) => UNDER_WAY.has(status))?.id; // it had begun by then
+      let id = isDone && work.resultId;
+      id ||= (await followers()).find(({ status }) => UNDER_WAY.has(status))?.id; // it had started by then
       if (id) location.hash = runHref(id);
       else state.textContent = CANCELLED;
     } catch (problem) {
-      if (!(problem instanceof ApiError)) throw problem;
-      error.say(problem);
+      error.say(serviceError(problem));
     } finally {
       release();
     }
@@ -96,6 +95,6 @@ function expectation({ separation_sigma: sigma, separation, deciding_poses: deci
   return (
     `${poses}${waits}, designed for an expected separation of ${significant(sigma, 2)} standard ` +
     `deviations (${significant(separation, 3)} in −2 log likelihood). ${rest}` +
-    "The test is sequential: it ends as soon as one of them is decided for."
+    "The test is sequential: it ends as soon as one candidate is selected."
   );
 }

@@ -1,4 +1,4 @@
-// Numbers and times for people: value ± standard error to the error's two digits, the unit always there.
+// Numbers and times as text: value ± standard error to two digits of the error, always with the unit.
 
 export const NOT_KNOWN = "not known";
 const MINUS = "−";
@@ -69,18 +69,15 @@ export function moment(iso) {
 }
 
 /** The moment at which a day such as "2026-11-22" begins in the reader's own time zone, in UTC. */
-export function dayStart(day) {
+export function dayStart(day, days = 0) {
   const [year, month, date] = day.split("-").map(Number);
-  return new Date(year, month - 1, date).toISOString();
+  return new Date(year, month - 1, date + days).toISOString();
 }
 
-/** When the day after it does. */
-export function dayEnd(day) {
-  const [year, month, date] = day.split("-").map(Number);
-  return new Date(year, month - 1, date + 1).toISOString();
-}
+/** The moment at which the day ends. */
+export const dayEnd = (day) => dayStart(day, 1);
 
-/** The reader's time zone, which every time on the page is told in. */
+/** The local time zone, used for every time on the page. */
 export function timeZone() {
   const format = new Intl.DateTimeFormat(undefined, { timeZoneName: "shortOffset" });
   const offset = format.formatToParts(new Date()).find(({ type }) => type === "timeZoneName").value;

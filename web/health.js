@@ -1,16 +1,16 @@
-// Whether the service is there: a banner while it is not, "calrig:back" to whoever wants to catch up, and
-// "calrig:there" whenever it has answered.
+// Whether the service answers: a banner while it does not, the event "calrig:back" when it does again, and
+// "calrig:there" after every answer.
 
 const CALM_MS = 5000;
 const WORRIED_MS = 1000;
 const LOST =
   "Lost connection to the calrig service; retrying. " +
-  "A run goes on without this page, but not without the service.";
+  "A run continues without this page, but not without the service.";
 
 let lost = false;
 let timer;
 
-/** Begins to watch; any request that gets no answer makes it look at once. */
+/** Watches the service; a request without an answer triggers a check at once. */
 export function watchHealth(banner) {
   window.addEventListener("calrig:lost", () => check(banner));
   timer = setTimeout(check, CALM_MS, banner);
@@ -34,6 +34,6 @@ async function answers() {
   try {
     return (await fetch("/api/health", { cache: "no-store" })).ok;
   } catch {
-    return false; // refused, reset or unresolved: all the same to the person at the page
+    return false; // refused, reset or unresolved
   }
 }

@@ -1,8 +1,8 @@
-// What a unit's runs tell together: when it is due, its control chart, what changed from run to run.
+// A unit's history: due date, control chart, and changes from run to run.
 
-import { ApiError, get } from "./api.js";
+import { get, serviceError } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, fill, h, headings, held, runLink, statusPill, tableBox } from "./dom.js";
+import { attempt, card, dataTable, errorLine, fill, h, numberCell, runLink, statusPill } from "./dom.js";
 import { fixed, isKnown, moment, plusMinus, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 import { may } from "./me.js";
@@ -10,53 +10,37 @@ import { may } from "./me.js";
 const LEAST_P = 0.0001;
 const SEARCH = { doing: "Diagnosing both runs together.", share: "the search" };
 
-/** A card that reads itself, and anew whenever two runs have been diagnosed together. */
+/** A card that loads itself, and again after two runs have been diagnosed together. */
 export function unitHistory(serial, signal) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
   const body = h("div");
   const error = errorLine("changes-error");
   const work = new LongWork("both", SEARCH, signal);
   const chart = new Chart("unit-chart", "Control chart: bias and scale since the unit last changed", { low: true, signal });
-  const element = h(
-    "section",
-    { class: "card", id: "changes", "aria-labelledby": "changes-title" },
-    h("h2", { id: "changes-title" }, "Changes between runs"),
-    error.element,
-    work.element,
-    body,
-  );
+  const element = card("changes", "Changes between runs", error.element, work.element, body);
 
   async function read() {
     const [unit, changes] = await Promise.all([get(path, signal), get(`${path}/changes`, signal)]);
     const rows = changes.toReversed().map((change) => row(change, diagnoseBoth));
-    const drawn = changes.some(({ signal: told }) => isKnown(told));
+    const drawn = changes.some((change) => isKnown(change.signal));
     fill(
       body,
       due(unit),
       rows.length
-        ? tableBox("Changes", h("table", { id: "changes-table" }, HEADINGS(), h("tbody", {}, rows)))
-        : h("p", { class: "muted" }, "Two calibrations that count are needed to tell what changed between them."),
+        ? dataTable("Changes", HEADINGS, rows, { id: "changes-table" })
+        : h("p", { class: "muted" }, "Changes are evaluated from two valid calibrations on."),
       drawn && chart.element,
     );
     if (drawn) await chart.load(`${path}/figures/chart`);
   }
 
-  async function diagnoseBoth({ from, to }) {
-    const release = held(...body.querySelectorAll("button"));
-    error.say(null);
-    try {
-      if (await work.carryOut(`/api/runs/${encodeURIComponent(to)}/diagnosis`, { runs: [from] })) await read();
-    } catch (problem) {
-      say(problem);
-    } finally {
-      release();
-    }
-  }
+  const say = (problem) => error.say(serviceError(problem, signal));
 
-  function say(problem) {
-    if (signal?.aborted) return;
-    if (!(problem instanceof ApiError)) throw problem;
-    error.say(problem);
+  function diagnoseBoth({ from, to }) {
+    const address = `/api/runs/${encodeURIComponent(to)}/diagnosis`;
+    return attempt(body.querySelectorAll("button"), error, async () => {
+      if (await work.carryOut(address, { runs: [from] })) await read();
+    });
   }
 
   read().catch(say);
@@ -74,8 +58,8 @@ function due({ due_at: at, overdue, due_says: says }) {
   );
 }
 
-const HEADINGS = () => headings("From run", "To run", "Verdict", "Statement", "#Days", "#Bias", "#Scale", "#p");
-const WORDS = { changed: "changed", unchanged: "repeats", not_known: "not known" };
+const HEADINGS = ["From run", "To run", "Verdict", "Statement", "#Days", "#Bias", "#Scale", "#p"];
+const WORDS = { changed: "changed", unchanged: "unchanged", not_known: "not known" };
 
 function pValue(p) {
   if (!isKnown(p)) return "–";
@@ -83,7 +67,6 @@ function pValue(p) {
 }
 
 function row(change, diagnoseBoth) {
-  const number = (text) => h("td", { class: "number" }, text);
   const link = (id) => h("td", {}, runLink(id));
   const untraced = change.verdict === "changed" && change.effects === null && may("operator");
   const button = untraced && h("button", { type: "button" }, "Diagnose both");
@@ -100,9 +83,9 @@ function row(change, diagnoseBoth) {
       change.signal && h("span", { class: "tag warns", title: "The control chart signals at this run." }, "chart"),
     ),
     h("td", { class: "wrap" }, change.says, button && h("div", { class: "buttons" }, button)),
-    number(fixed(change.days, change.days < 10 ? 1 : 0)),
-    number(plusMinus(change.bias_deg, change.bias_std_deg, "°")),
-    number(plusMinus(change.scale, change.scale_std)),
-    number(pValue(change.p_value)),
+    numberCell(fixed(change.days, change.days < 10 ? 1 : 0)),
+    numberCell(plusMinus(change.bias_deg, change.bias_std_deg, "°")),
+    numberCell(plusMinus(change.scale, change.scale_std)),
+    numberCell(pValue(change.p_value)),
   );
 }

@@ -1,7 +1,7 @@
-// A CSV of poses measured elsewhere becomes a run.
+// Imports a CSV file of poses measured elsewhere as a run.
 
 import { get } from "./api.js";
-import { errorLine, field, fill, h, onSubmit, runHref } from "./dom.js";
+import { card, errorLine, field, fill, h, onSubmit, runHref, select, serialInput } from "./dom.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 
 const ADDRESS = "/api/imports";
@@ -16,41 +16,25 @@ export async function importView({ root, signal }) {
     required: true,
     "aria-describedby": "import-help",
   });
-  const unit = h("input", {
-    id: "unit",
-    type: "text",
-    required: true,
-    autocomplete: "off",
-    spellcheck: "false",
-  });
-  const rig = h(
-    "select",
-    { id: "rig" },
-    h("option", { value: "" }, "not on a rig of this service"),
-    rigs.map(({ name }) => h("option", { value: name }, name)),
-  );
+  const unit = serialInput();
+  const rig = select({ id: "rig" }, [["", "no rig of this service"], ...rigs.map(({ name }) => name)]);
   const error = errorLine("import-error");
   const work = new LongWork("import", WORDS, signal);
-  const told = h("p", { id: "import-told", class: "muted", role: "status" });
+  const state = h("p", { id: "import-told", class: "muted", role: "status" });
   const submit = h("button", { id: "import", type: "submit", class: "primary" }, "Import");
   const form = h(
     "form",
     { class: "card start" },
     field("file", "CSV file", file),
-    h(
-      "div",
-      { class: "fields two" },
-      field("unit", "Unit's serial number", unit),
-      field("rig", "Measured on rig", rig),
-    ),
+    h("div", { class: "fields two" }, field("unit", "Serial number", unit), field("rig", "Measured on rig", rig)),
     work.element,
     error.element,
-    h("div", { class: "buttons" }, submit, told),
+    h("div", { class: "buttons" }, submit, state),
   );
   const carryOut = async (begun) => {
-    told.textContent = "";
-    if (await begun) location.hash = runHref(work.answer?.id ?? work.result.split("/").at(-1));
-    else if (!signal.aborted) told.textContent = CANCELLED;
+    state.textContent = "";
+    if (await begun) location.hash = runHref(work.resultId);
+    else if (!signal.aborted) state.textContent = CANCELLED;
   };
   onSubmit(form, submit, error, () => {
     const body = new FormData();
@@ -61,49 +45,30 @@ export async function importView({ root, signal }) {
   });
   for (const input of [file, unit, rig]) input.addEventListener("input", () => error.say(null));
   fill(root, h("h1", {}, "Import measured poses"), form, help());
-  if (!LongWork.isUnderWay(ADDRESS)) return;
-  submit.disabled = true;
-  carryOut(work.resume(ADDRESS))
-    .catch((problem) => error.say(problem))
-    .finally(() => (submit.disabled = false));
+  work.resumeWith(ADDRESS, submit, error, carryOut);
 }
+
+const OPTIONAL = [
+  "pass",
+  "approach",
+  "time_s",
+  "temperature_c",
+  "stage_deg",
+  "reading_std_deg",
+  "reading_stderr_deg",
+  "n_samples",
+  "accel_x_g",
+];
 
 function help() {
   const code = (text) => h("code", {}, text);
-  return h(
-    "section",
-    { class: "card", id: "import-help" },
-    h("h2", {}, "File format"),
-    h(
-      "p",
-      {},
-      "One row per pose, comma-separated, with a header row and decimal points. ",
-      code("target_deg"),
-      " and ",
-      code("reading_deg"),
-      " are required.",
-    ),
-    h(
-      "p",
-      {},
-      "Optional: ",
-      [
-        "pass",
-        "approach",
-        "time_s",
-        "temperature_c",
-        "stage_deg",
-        "reading_std_deg",
-        "reading_stderr_deg",
-        "n_samples",
-        "accel_x_g",
-      ].map((name) => [code(name), ", "]),
-      "… Any other numeric column is kept as a covariate.",
-    ),
-    h(
-      "p",
-      { class: "muted" },
-      "A file with an error is rejected as a whole, naming line and column; nothing of it is stored.",
-    ),
+  const required = [code("target_deg"), " and ", code("reading_deg"), " are required."];
+  const optional = OPTIONAL.map((name) => [code(name), ", "]);
+  return card(
+    "import-help",
+    "File format",
+    h("p", {}, "One row per pose, comma-separated, with a header row and decimal points. ", required),
+    h("p", {}, "Optional: ", optional, "… Any other numeric column is stored as a covariate."),
+    h("p", { class: "muted" }, "A file with an error is rejected as a whole, naming line and column."),
   );
 }

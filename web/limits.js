@@ -1,7 +1,7 @@
-// What units are held against: a card a limit, tried from the top; saved all at once.
+// Limits for verdicts: one card per limit, tried from the top; saved together.
 
 import { get, put } from "./api.js";
-import { errorLine, field, fill, h, onSubmit } from "./dom.js";
+import { button, errorLine, field, fill, h, onSubmit, select } from "./dom.js";
 import { may } from "./me.js";
 
 const FIGURES = [
@@ -25,23 +25,14 @@ export async function limitsView({ root, signal }) {
 }
 
 function explanation() {
-  return h(
-    "section",
-    { class: "card prose" },
-    h(
-      "p",
-      {},
-      "A result is held against the first limit whose units and rig match, and its verdict says pass, conditional ",
-      "pass, conditional fail or fail. The simple rule compares the figure with its limit L; the guarded rule passes ",
-      "up to L − w and fails from L + w on, with w = guard × expanded uncertainty. A field left empty asks nothing.",
-    ),
-    h(
-      "p",
-      { class: "muted" },
-      "Without a known expanded uncertainty nothing passes. A limit on the bias cannot be decided while the level is ",
-      "not known; the largest error is then that of the elevation less its mean over the range.",
-    ),
-  );
+  const rules =
+    "The first limit whose units and rig match applies to a result. The verdict is pass, conditional pass, conditional " +
+    "fail or fail. The simple rule compares the figure with its limit L. The guarded rule passes up to L − w and fails " +
+    "from L + w on, with w = guard factor × expanded uncertainty. An empty field sets no limit.";
+  const unknown =
+    "Without a known expanded uncertainty nothing passes. While the level is unknown, a limit on the bias is undecided, " +
+    "and the largest error is that of the elevation relative to its mean over the range.";
+  return h("section", { class: "card prose" }, h("p", {}, rules), h("p", { class: "muted" }, unknown));
 }
 
 function limitsForm(limits, rigs) {
@@ -58,12 +49,12 @@ function limitsForm(limits, rigs) {
     error.element,
     may("admin")
       ? h("div", { class: "buttons" }, save, add, saved)
-      : h("p", { class: "muted" }, "An admin may change them."),
+      : h("p", { class: "muted" }, "Only an admin can change limits."),
   );
 
   function show(focus) {
     cards.forEach((card, k) => card.number(k, cards.length));
-    const none = h("p", { class: "card muted" }, "No limit yet: verdicts say what is left, and nothing of pass or fail.");
+    const none = h("p", { class: "card muted" }, "No limits yet. Verdicts describe the residual, without pass or fail.");
     fill(list, cards.length ? cards.map((card) => card.element) : none);
     focus?.focus();
   }
@@ -91,16 +82,13 @@ function limitsForm(limits, rigs) {
   form.addEventListener("input", () => (saved.textContent = ""));
   form.addEventListener("click", (event) => event.target !== save && (saved.textContent = ""));
   onSubmit(form, save, error, async () => {
-    await put(
-      "/api/limits",
-      cards.map((card) => card.value()),
-    );
-    saved.textContent = "Saved. Verdicts of runs are by these limits now.";
+    await put("/api/limits", cards.map((card) => card.value()));
+    saved.textContent = "Saved. These limits now apply to the verdicts of all runs.";
   });
   return form;
 }
 
-/** A limit's fields: `value()` is what they say, `number(k, n)` names them for its place among n. */
+/** A limit's fields: `value()` reads them, `number(k, n)` names them as limit k of n. */
 function limitCard(limit, rigs, { move, remove }) {
   const title = h("legend");
   const inputs = new Map();
@@ -110,13 +98,12 @@ function limitCard(limit, rigs, { move, remove }) {
   };
   const text = (key) => h("input", { type: "text", value: limit[key], autocomplete: "off", spellcheck: "false" });
   const number = (value) => h("input", { type: "number", step: "any", inputmode: "decimal", value });
-  const options = (pairs, chosen) =>
-    pairs.map(([value, label]) => h("option", { value, selected: value === (chosen ?? "") }, label));
   const names = new Set([...rigs.map(({ name }) => name), limit.rig].filter(Boolean));
-  const up = h("button", { type: "button", class: "small", on: { click: () => move(-1, up) } }, "Earlier");
-  const down = h("button", { type: "button", class: "small", on: { click: () => move(1, down) } }, "Later");
-  const gone = h("button", { type: "button", class: "small", on: { click: remove } }, "Remove");
-  const rig = h("select", {}, options([["", "every rig"], ...[...names].map((name) => [name, name])], limit.rig));
+  const small = { class: "small" };
+  const up = button("Move up", () => move(-1, up), small);
+  const down = button("Move down", () => move(1, down), small);
+  const gone = button("Remove", remove, small);
+  const rig = select({}, [["", "any rig"], ...names], limit.rig ?? "");
   const element = h(
     "fieldset",
     { class: "card limit" },
@@ -126,14 +113,10 @@ function limitCard(limit, rigs, { move, remove }) {
       "div",
       { class: "fields four" },
       make("name", "Name", text("name")),
-      make("units", "Units (* and ? as in file names)", text("units")),
+      make("units", "Units (wildcards * and ?)", text("units")),
       make("rig", "Rig", rig),
     ),
-    h(
-      "div",
-      { class: "fields four" },
-      FIGURES.map(([key, label]) => make(key, label, number(limit[key]))),
-    ),
+    h("div", { class: "fields four" }, FIGURES.map(([key, label]) => make(key, label, number(limit[key])))),
     h(
       "div",
       { class: "fields four" },
@@ -145,8 +128,8 @@ function limitCard(limit, rigs, { move, remove }) {
     h(
       "div",
       { class: "fields four" },
-      make("rule", "Decision rule", h("select", {}, options(RULES, limit.rule))),
-      make("guard", "Guard, w over U", number(limit.guard)),
+      make("rule", "Decision rule", select({}, RULES, limit.rule)),
+      make("guard", "Guard factor, w/U", number(limit.guard)),
     ),
   );
   const guarded = () => (inputs.get("guard").parentElement.hidden = inputs.get("rule").value !== "guarded");

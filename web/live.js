@@ -1,14 +1,11 @@
-// A run while it goes on: progress, what is read right now, and the buttons.
+// A run in progress: progress, current readings, and the buttons.
 
 import { h } from "./dom.js";
 import { duration, fixed, plural } from "./format.js";
 
 export const TERMINAL = new Set(["completed", "failed", "aborted", "interrupted"]);
 
-/**
- * Gone once the run has ended. `ask(verb)` posts pause, resume or abort; `announce(text)` is for screen
- * readers.
- */
+/** Hidden once the run has ended. `ask(verb)` posts pause, resume or abort; `announce(text)` is for screen readers. */
 export class LivePanel {
   constructor(ask, announce) {
     this.announce = announce;
@@ -27,11 +24,7 @@ export class LivePanel {
     this.element = h(
       "section",
       { class: "card live", "aria-label": "The run now" },
-      h(
-        "dl",
-        { class: "readouts" },
-        this.values.map(({ element }) => element),
-      ),
+      h("dl", { class: "readouts" }, this.values.map(({ element }) => element)),
       this.bar,
       h(
         "div",
@@ -50,13 +43,13 @@ export class LivePanel {
     this.progress(run.progress);
   }
 
-  /** The run waits for a person: what there is to press is beside the instruction. */
+  /** The run waits for the operator: the buttons are then in the card with the instruction. */
   waits(waiting) {
     this.waiting = waiting;
     this.#buttons();
   }
 
-  /** A pause was asked for, or taken back, that the run heeds after the pose in hand. */
+  /** A pause was requested or revoked; the run pauses after the current pose. */
   hold(holding) {
     this.holding = holding && !this.paused;
     this.#buttons();
@@ -77,7 +70,7 @@ export class LivePanel {
     this.announce(`${tenth * 10} % done, ${this.remaining.textContent}`);
   }
 
-  /** Who has pressed one of the two finds the other in its place, with the focus. */
+  /** Shows one of pause and resume; the focus moves from one to the other. */
   #buttons() {
     const had = [this.pause, this.resume].includes(document.activeElement);
     this.pause.hidden = this.paused || this.holding;

@@ -1,14 +1,14 @@
-// Logging in where the service asks for its token, and out again.
+// Login where the service requires a token, and logout.
 
 import { get, post } from "./api.js";
-import { errorLine, field, fill, h } from "./dom.js";
+import { errorLine, field, fill, h, onSubmit } from "./dom.js";
 
-/** Whether the page has to ask for the token, and whether there is a session to end. */
+/** Whether the service requires a token, and whether there is a session. */
 export function loginState(signal) {
   return get("/api/login", signal);
 }
 
-/** Asks for the token in place of the view; `done()` once the service has taken it. */
+/** The login form in place of the view; `done()` is called once the service has accepted the token. */
 export function loginView(root, done) {
   const token = h("input", {
     id: "token",
@@ -28,35 +28,28 @@ export function loginView(root, done) {
     h(
       "p",
       { class: "muted" },
-      "This service asks who you are: by a token of your own, which an admin gives you, or by the one that it was ",
-      "started with. ",
-      "A run goes on whether anybody is logged in or not.",
+      "This service requires a token: your own, which an admin gives you, or the one it was started with. ",
+      "Runs continue whether or not anybody is logged in.",
     ),
-    h("input", { type: "text", autocomplete: "username", value: "calrig", hidden: true }), // whose it is
+    h("input", { type: "text", autocomplete: "username", value: "calrig", hidden: true }), // for password managers
     field("token", "Token", token),
     error.element,
     h("div", { class: "buttons" }, enter),
   );
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    enter.disabled = true;
-    error.say(null);
+  onSubmit(form, enter, error, async () => {
     try {
       await post("/api/login", { token: token.value.trim() });
       done();
     } catch (problem) {
-      if (problem.status === undefined) throw problem;
-      error.say(problem.status === 401 ? new Error("Nobody here has this token.") : problem);
       token.select();
-    } finally {
-      enter.disabled = false;
+      throw problem.status === 401 ? new Error("The service does not know this token.") : problem;
     }
   });
   fill(root, form);
   token.focus({ preventScroll: true });
 }
 
-/** Ends the session, and with it everything that this page shows. */
+/** Ends the session. */
 export async function logOut() {
   try {
     await post("/api/logout");

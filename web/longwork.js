@@ -1,4 +1,4 @@
-// Work that takes long: the service goes on with it, the page shows how far it is, a person may cancel it.
+// A job of the service that takes long: its progress, and a button that cancels it.
 
 import { ApiError, begin, beginGet, beginUpload, get, remove } from "./api.js";
 import { h } from "./dom.js";
@@ -9,8 +9,8 @@ const UNDER_WAY = new Set(["queued", "running"]);
 export const CANCELLED = "Cancelled: nothing was kept of it.";
 
 /**
- * A line to be put where the work is asked for. `doing` says what is done, `share` what the fraction is one of;
- * `signal` is aborted when the view is left. Of what was done, `answer` is the answer, or `result` its address.
+ * A line beside the control that requests the work. `doing` describes the work, `share` what the fraction counts;
+ * `signal` aborts when the view is left. Afterwards `answer` is the answer, or `result` its address.
  */
 export class LongWork {
   constructor(id, { doing, share }, signal) {
@@ -18,30 +18,23 @@ export class LongWork {
     this.signal = signal;
     this.says = h("p", { id: `${id}-says`, class: "muted", role: "status", "aria-live": "polite" });
     this.bar = h("progress", { max: "1", "aria-labelledby": `${id}-says` });
-    this.button = h(
-      "button",
-      { type: "button", id: `${id}-cancel`, on: { click: () => this.#cancel() } },
-      "Cancel",
-    );
-    this.element = h(
-      "div",
-      { id: `${id}-progress`, class: "long-work", hidden: true },
-      h("div", {}, this.says, this.bar),
-      this.button,
-    );
+    const cancel = { type: "button", id: `${id}-cancel`, on: { click: () => this.#cancel() } };
+    this.button = h("button", cancel, "Cancel");
+    const props = { id: `${id}-progress`, class: "long-work", hidden: true };
+    this.element = h("div", props, h("div", {}, this.says, this.bar), this.button);
   }
 
-  /** Asks for it. Whether it was done: false where it was cancelled or the view left, in which case it goes on. */
+  /** Requests the work. Resolves to whether it was done: false if it was cancelled, or if the view was left. */
   carryOut(path, body) {
     return this.#take(path, (given) => begin(path, body, given));
   }
 
-  /** The same of what a GET computes. */
+  /** As `carryOut`, of what a GET computes. */
   compute(path) {
     return this.#take(path, (given) => beginGet(path, given));
   }
 
-  /** The same of a form with a file; whoever leaves before the service has all of it gives it up. */
+  /** As `carryOut`, of a form with a file; leaving the view during the upload cancels it. */
   send(path, form) {
     return this.#take(path, (given) => {
       this.#sent(0);
@@ -60,7 +53,26 @@ export class LongWork {
     });
   }
 
-  /** Whether this tab has asked for it and not heard of its end: then `resume` goes on as `carryOut` would. */
+  /** The answer itself, read by its address if need be. */
+  async document() {
+    return this.answer ?? get(this.result, this.signal);
+  }
+
+  /** The id of what was made. */
+  get resultId() {
+    return this.answer?.id ?? this.result.split("/").at(-1);
+  }
+
+  /** Continues work that this tab has requested before, if any, with `button` disabled; `take` gets `carryOut`'s promise. */
+  resumeWith(path, button, error, take) {
+    if (!LongWork.isUnderWay(path)) return;
+    button.disabled = true;
+    take(this.resume(path))
+      .catch((problem) => error.say(problem))
+      .finally(() => (button.disabled = false));
+  }
+
+  /** Whether this tab has requested it and has not seen its end: then `resume` continues as `carryOut` would. */
   static isUnderWay(path) {
     return sessionStorage.getItem(path) !== null;
   }
@@ -104,7 +116,7 @@ export class LongWork {
   #show({ state, fraction }) {
     const share = fraction === null ? "" : ` ${Math.round(100 * fraction)}\u00a0% of ${this.words.share}.`;
     this.says.textContent =
-      state === "queued" ? "Waiting: the service does other such work first." : `${this.words.doing}${share}`;
+      state === "queued" ? "Queued: the service completes other work first." : `${this.words.doing}${share}`;
     if (fraction === null) this.bar.removeAttribute("value");
     else this.bar.value = fraction;
   }

@@ -1,4 +1,4 @@
-// Which view is shown: one hash route each, one AbortSignal each, aborted when the person goes elsewhere.
+// The router: one hash route and one AbortSignal per view, aborted when the view is left.
 
 import { fill, h, visible } from "./dom.js";
 import { timeZone } from "./format.js";
@@ -9,9 +9,9 @@ import { onRigs, watchRigs } from "./rigs.js";
 import { startView } from "./start.js";
 import { preferRig, stopButtons } from "./stop.js";
 
+/** Routes and their views; a module is fetched when its first view is opened. */
 const ROUTES = [
   [/^\/$/, startView],
-  // fetched when somebody goes there
   [/^\/runs\/([^/]+)$/, async (shown) => (await import("./run.js")).runView(shown)],
   [/^\/units$/, async (shown) => (await import("./units.js")).unitsView(shown)],
   [/^\/units\/([^/]+)$/, async (shown) => (await import("./units.js")).unitView(shown)],
@@ -21,13 +21,11 @@ const ROUTES = [
   [/^\/rigs\/([^/]+)$/, async (shown) => (await import("./rig.js")).rigView(shown)],
   [/^\/solve$/, async (shown) => (await import("./solve.js")).solveView(shown)],
   [/^\/solve\/([^/]+)$/, async (shown) => (await import("./solution.js")).solutionView(shown)],
-  [/^\/queue$/, async (shown) => (await import("./queue.js")).queueView(shown)],
-  [/^\/queue\/([^/]+)$/, async (shown) => (await import("./queue.js")).queueView(shown)],
+  [/^\/queue(?:\/([^/]+))?$/, async (shown) => (await import("./queue.js")).queueView(shown)],
   [/^\/import$/, async (shown) => (await import("./import.js")).importView(shown)],
   [/^\/trail$/, async (shown) => (await import("./trail.js")).trailView(shown)],
   [/^\/users$/, async (shown) => (await import("./users.js")).usersView(shown)],
-  [/^\/noise$/, async (shown) => (await import("./noise.js")).noiseView(shown)],
-  [/^\/noise\/([^/]+)$/, async (shown) => (await import("./noise.js")).noiseView(shown)],
+  [/^\/noise(?:\/([^/]+))?$/, async (shown) => (await import("./noise.js")).noiseView(shown)],
 ];
 
 const root = document.getElementById("view");
@@ -52,22 +50,22 @@ async function show({ focus }) {
     await view({ root, parts, query: new URLSearchParams(query), signal });
   } catch (error) {
     if (signal.aborted) return;
-    fill(root, h("h1", {}, "This cannot be shown"), h("p", { class: "error", role: "alert" }, error.message));
+    fill(root, h("h1", {}, "This page cannot be shown"), h("p", { class: "error", role: "alert" }, error.message));
     if (error.status === 0)
       window.addEventListener("calrig:back", () => show({ focus: false }), { once: true, signal });
-    else if (error.status === undefined) throw error; // a fault of this page's own: its trace stays visible
+    else if (error.status === undefined) throw error; // a fault of this page: its trace stays visible
   }
   if (signal.aborted) return;
   const title = root.querySelector("h1");
   document.title = title ? `${title.textContent} · calrig` : "calrig";
-  // Whoever has begun to use the view while it loaded keeps the focus.
+  // A view that is already in use while it loads keeps the focus.
   if (focus && !root.contains(document.activeElement)) root.focus({ preventScroll: true });
 }
 
 function match(path) {
   for (const [pattern, view] of ROUTES) {
     const found = pattern.exec(path);
-    if (found) return [view, found.slice(1).map(decoded)];
+    if (found) return [view, found.slice(1).map((part) => part && decoded(part))];
   }
   throw Object.assign(new Error(`There is no page ${path}.`), { status: 404 });
 }
@@ -100,7 +98,7 @@ document.querySelector(".skip").addEventListener("click", (event) => {
   root.focus();
 });
 
-/** Asks whether to log in, then shows what the address says. */
+/** Shows the login if it is needed, else the view of the address. */
 async function begin() {
   try {
     const login = await loginState();
@@ -110,14 +108,14 @@ async function begin() {
     name.textContent = login.name ? visible(`${login.name} (${login.role})`) : "";
     users.hidden = !may("admin");
   } catch (error) {
-    if (error.status === undefined) throw error; // the view below and the banner tell the rest
+    if (error.status === undefined) throw error; // the view below and the banner report it
   }
   stop.hidden = false;
   watchRigs();
   show({ focus: false });
 }
 
-/** The login in place of the view, at the beginning or when a session has run out. */
+/** Shows the login in place of the view, at the start or after a session has expired. */
 function lock() {
   if (locked) return;
   locked = true;
@@ -138,7 +136,7 @@ leave.addEventListener("click", async () => {
   await logOut();
   lock();
 });
-document.getElementById("zone").textContent = `Times are those of ${timeZone()}.`;
+document.getElementById("zone").textContent = `Times are in ${timeZone()}.`;
 watchHealth(document.getElementById("banner"));
 onRigs((rigs) => (benches.hidden = !rigs.some(({ bench }) => bench)));
 stopButtons(stop, document.getElementById("stop-line"));

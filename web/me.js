@@ -1,14 +1,14 @@
-// Who is at the page, as the service knows them, and what they may.
+// The role of the user who is logged in.
 
 const ROLES = ["viewer", "operator", "releaser", "admin"];
 let role = "viewer";
 
-/** What the service answered of the login. */
+/** Stores the service's answer about the login. */
 export function iAm(login) {
   role = login.role ?? "viewer";
 }
 
-/** Whether it is worth offering what takes this role; the service refuses it to anybody else all the same. */
+/** Whether the page offers what requires this role; the service checks it independently. */
 export function may(needed) {
   return ROLES.indexOf(role) >= ROLES.indexOf(needed);
 }

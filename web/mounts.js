@@ -1,23 +1,15 @@
-// How the unit is clamped during a run: the plan's fields for that, and the angles they say.
+// The plan's fields for the mounting angles and axis of the unit.
 
-import { h } from "./dom.js";
+import { field, h, select } from "./dom.js";
 
 const PRESETS = ["0", "0, 120, 240", "0, 51.43, 154.29"];
 const AXES = ["x", "y", "z", "-x", "-y", "-z"];
 
-/** The fields; `value()` is their part of the plan, `set(plan)` has them say what a plan does. */
+/** The fields; `value()` is their part of the plan, `set(plan)` fills them from a plan. */
 export function mountFields() {
   const angles = h("input", { id: "mounts_deg", type: "text", list: "mounts-usual", value: "0", required: true });
-  const usual = h(
-    "datalist",
-    { id: "mounts-usual" },
-    PRESETS.map((value) => h("option", { value })),
-  );
-  const axis = h(
-    "select",
-    { id: "mount_axis" },
-    AXES.map((value) => h("option", { value }, value.replace("-", "−"))),
-  );
+  const usual = h("datalist", { id: "mounts-usual" }, PRESETS.map((value) => h("option", { value })));
+  const axis = select({ id: "mount_axis" }, AXES.map((value) => [value, value.replace("-", "−")]));
 
   function set({ mounts_deg: mounts, mount_axis: along }) {
     if (mounts) angles.value = mounts.join(", ");
@@ -27,13 +19,13 @@ export function mountFields() {
   const element = h(
     "div",
     { class: "fields two" },
-    h("div", { class: "field" }, h("label", { for: "mounts_deg" }, "Clamp the unit at, °, one after the other"), angles, usual),
-    h("div", { class: "field" }, h("label", { for: "mount_axis" }, "Its axis along the stage's"), axis),
+    h("div", { class: "field" }, h("label", { for: "mounts_deg" }, "Mounting angles, °"), angles, usual),
+    field("mount_axis", "Unit axis along stage axis", axis),
   );
   return { element, set, value: () => ({ mounts_deg: numbers(angles.value), mount_axis: axis.value }) };
 }
 
-/** "−60, 0; 60.5" as numbers; a word that is none stays a word, for the service to name. */
+/** "−60, 0; 60.5" as numbers; a word that is no number stays a word, and the service refuses it by name. */
 export function numbers(text) {
   const words = text
     .replaceAll("−", "-")

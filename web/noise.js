@@ -1,10 +1,25 @@
-// Noise and filters: of a log from anybody's sensor, or of a run's samples.
+// Noise and filter analysis of a log file or of a run's samples.
 
 import { get, post, remove } from "./api.js";
-import { askConfirmation } from "./ask.js";
+import { confirmButton } from "./ask.js";
 import { Chart } from "./charts.js";
-import { errorLine, field, fill, h, headings, onSubmit, runHref, runLink, tableBox } from "./dom.js";
-import { NOT_KNOWN, fixed, isKnown, moment, significant } from "./format.js";
+import {
+  bullets,
+  card,
+  dataTable,
+  errorLine,
+  field,
+  fill,
+  h,
+  numberCell,
+  onSubmit,
+  runHref,
+  runLink,
+  select,
+  serialInput,
+  tableRow,
+} from "./dom.js";
+import { NOT_KNOWN, fixed, moment, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 import { may } from "./me.js";
 import { logForm } from "./noisefile.js";
@@ -12,16 +27,14 @@ import { logForm } from "./noisefile.js";
 const STUDIES = "/api/log-studies";
 
 /**
- * Without a run: a form for a file, one that records a log on a rig, and the files that were analysed; one of those
- * by `#/noise?study=ID`. With a run: what its samples say.
+ * Without a run: a form for a file, one that records a log on a rig, and the files analysed; `#/noise?study=ID` shows
+ * one of these. With a run: the analysis of its samples.
  */
 export async function noiseView({ root, parts: [id], query, signal }) {
   if (id !== undefined) return ofRun(root, id, signal);
   if (query.has("study")) return ofStudy(root, query.get("study"), signal);
   const rigs = await get("/api/rigs", signal);
   const studies = h("div", {});
-  const title = h("h2", { id: "studies-title" }, "Files analysed");
-  const kept = h("section", { class: "card", id: "studies", "aria-labelledby": "studies-title" }, title, studies);
   const list = () => listStudies(studies, signal);
   const shown = h("div", { id: "noise-result", class: "run", "aria-live": "polite" });
   const found = (what, answer) => {
@@ -30,7 +43,7 @@ export async function noiseView({ root, parts: [id], query, signal }) {
     return answer && list();
   };
   const { form, resume } = logForm(found, signal);
-  fill(root, h("h1", {}, "Noise and filters"), h("div", { class: "columns" }, form, rigForm(rigs)), shown, kept);
+  fill(root, h("h1", {}, "Noise and filters"), h("div", { class: "columns" }, form, rigForm(rigs)), shown, card("studies", "Files analysed", studies));
   resume();
   await list();
 }
@@ -40,11 +53,10 @@ async function ofStudy(root, id, signal) {
   const { study, noise, filters } = await get(path, signal);
   const shown = h("div", { id: "noise-result", class: "run" });
   const by = study.studied_by && ` by ${study.studied_by}`;
-  const drop = h("button", { type: "button", id: "remove-study" }, "Remove this analysis…");
-  drop.addEventListener("click", async () => {
-    const question = { title: `Remove the analysis of ${study.file_name}?`, text: "It is gone for good.", action: "Remove it" };
-    if (await askConfirmation(question, () => remove(path))) location.hash = "#/noise";
-  });
+  const title = `Remove the analysis of ${study.file_name}?`;
+  const question = { title, text: "It is deleted permanently.", action: "Remove" };
+  const leave = () => (location.hash = "#/noise");
+  const drop = confirmButton("Remove this analysis…", question, () => remove(path), leave, { id: "remove-study" });
   fill(
     root,
     h("h1", {}, `${KINDS[study.kind]} of ${study.file_name}`),
@@ -60,21 +72,10 @@ const KINDS = { noise: "Noise", filters: "Filters" };
 async function listStudies(place, signal) {
   const studies = await get(STUDIES, signal);
   const rows = studies.map(({ id, kind, file_name: file, created_at: at, studied_by: by }) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, h("a", { href: `#/noise?study=${encodeURIComponent(id)}` }, file)),
-      h("td", {}, KINDS[kind]),
-      h("td", {}, moment(at)),
-      h("td", {}, by ?? "–"),
-    ),
+    tableRow(h("a", { href: `#/noise?study=${encodeURIComponent(id)}` }, file), [KINDS[kind], moment(at), by ?? "–"]),
   );
-  fill(
-    place,
-    rows.length
-      ? tableBox("Files analysed", h("table", { id: "studies-table" }, headings("File", "Analysis", "When", "By"), h("tbody", {}, rows)))
-      : h("p", { class: "muted" }, "None yet: what is found in a file is kept here, the file itself is not."),
-  );
+  const table = dataTable("Files analysed", ["File", "Analysis", "When", "By"], rows, { id: "studies-table" });
+  fill(place, rows.length ? table : h("p", { class: "muted" }, "None yet. Results are stored here, the files are not."));
   place.hidden = false; // empty, it has no name
 }
 
@@ -88,23 +89,13 @@ async function ofRun(root, id, signal) {
   const work = new LongWork("study", { doing: "Computing.", share: "it is done" }, signal);
   fill(root, h("h1", {}, heading), h("p", {}, runLink(id, "Run ")), work.element, shown);
   if (await work.compute(`${path}/${what}`)) {
-    show(shown, work.answer ?? (await get(work.result, signal)), TABLES[what], signal);
+    show(shown, await work.document(), TABLES[what], signal);
   } else if (!signal.aborted) fill(shown, h("p", { class: "muted" }, CANCELLED));
 }
 
 function rigForm(rigs) {
-  const rig = h(
-    "select",
-    { id: "rig" },
-    rigs.map(({ name }) => h("option", { value: name }, name)),
-  );
-  const unit = h("input", {
-    id: "unit",
-    type: "text",
-    required: true,
-    autocomplete: "off",
-    spellcheck: "false",
-  });
+  const rig = select({ id: "rig" }, rigs.map(({ name }) => name));
+  const unit = serialInput();
   const minutes = h("input", {
     id: "minutes",
     type: "number",
@@ -121,13 +112,8 @@ function rigForm(rigs) {
     { class: "card start", "aria-labelledby": "rig-title" },
     h("h2", { id: "rig-title" }, "Record a static log"),
     h("p", { class: "muted" }, "The stage does not move while the log is recorded."),
-    field("unit", "Unit's serial number", unit),
-    h(
-      "div",
-      { class: "fields two" },
-      field("rig", "Rig", rig),
-      field("minutes", "Duration, min", minutes),
-    ),
+    field("unit", "Serial number", unit),
+    h("div", { class: "fields two" }, field("rig", "Rig", rig), field("minutes", "Duration, min", minutes)),
     error.element,
     h("div", { class: "buttons" }, start),
   );
@@ -141,74 +127,44 @@ function rigForm(rigs) {
 
 function show(place, answer, table, signal) {
   const { report, figures } = answer;
-  const charts = figures.map(({ caption, figure }, k) => [
-    new Chart(`noise-${k}`, caption, { tall: true, signal }),
-    figure,
-  ]);
+  const charts = figures.map(({ caption }, k) => new Chart(`noise-${k}`, caption, { tall: true, signal }));
   fill(
     place,
-    h(
-      "section",
-      { class: "card", id: "summary", "aria-label": "Summary" },
-      h("h2", {}, "Summary"),
-      h(
-        "ul",
-        {},
-        report.summary.map((sentence) => h("li", {}, sentence)),
-      ),
-    ),
+    card("summary", "Summary", bullets(report.summary)),
     h("section", { class: "card" }, table(answer)),
-    h(
-      "div",
-      { class: "charts" },
-      charts.map(([chart]) => chart.element),
-    ),
+    h("div", { class: "charts" }, charts.map(({ element }) => element)),
   );
-  for (const [chart, figure] of charts) chart.draw(figure);
+  charts.forEach((chart, k) => chart.draw(figures[k].figure));
 }
 
 const TABLES = { noise: noiseTable, filters: filterTable };
-const told = (value, words) => (isKnown(value) ? words(value) : NOT_KNOWN);
-const cell = (text) => h("td", { class: "number" }, text);
+const numbersRow = (head, values) => tableRow(head, values.map(numberCell));
 
 function noiseTable({ report: { channels }, stated }) {
   const rows = Object.entries(channels).map(([name, channel]) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, name),
-      [channel.adf_slope, channel.psd_slope].map((slope) => cell(told(slope, (value) => fixed(value, 2)))),
-      cell(significant(channel.std, 3)),
-      [stated[name].white, stated[name].flicker].map((one) => cell(one ?? NOT_KNOWN)),
-      cell(channel.lines.map(({ frequency_hz }) => `${significant(frequency_hz, 3)}\u00a0Hz`).join(", ") || "none"),
-      cell(told(channel.colour, String)),
-    ),
+    numbersRow(name, [
+      ...[channel.adf_slope, channel.psd_slope].map((slope) => fixed(slope, 2)),
+      significant(channel.std, 3),
+      ...[stated[name].white, stated[name].flicker].map((one) => one ?? NOT_KNOWN),
+      channel.lines.map(({ frequency_hz }) => `${significant(frequency_hz, 3)}\u00a0Hz`).join(", ") || "none",
+      channel.colour ?? NOT_KNOWN,
+    ]),
   );
-  const names = [
-    "Channel",
-    "#Slope of Allan deviation",
-    "#Slope of PSD",
-    "#Standard deviation",
-    "#White noise, density",
-    "#Bias instability",
-    "#Spectral lines",
-    "#Noise colour",
-  ];
-  return tableBox("Noise by channel", h("table", { id: "noise" }, headings(...names), h("tbody", {}, rows)));
+  const slopes = ["#Slope of Allan deviation", "#Slope of PSD"];
+  const sizes = ["#Standard deviation", "#White noise, density", "#Bias instability"];
+  const names = ["Channel", ...slopes, ...sizes, "#Spectral lines", "#Noise colour"];
+  return dataTable("Noise by channel", names, rows, { id: "noise" });
 }
 
 function filterTable({ report: { filters } }) {
   const rows = filters.map((filter) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, filter.label),
-      cell(told(filter.jitter_deg, (value) => fixed(value, 4, "°"))),
-      cell(told(filter.lag_ms, (value) => fixed(value, 1, "ms"))),
-      cell(told(filter.largest_offset_deg, (value) => fixed(value, 3, "°"))),
-      cell(filter.causal ? "yes" : "no"),
-    ),
+    numbersRow(filter.label, [
+      fixed(filter.jitter_deg, 4, "°"),
+      fixed(filter.lag_ms, 1, "ms"),
+      fixed(filter.largest_offset_deg, 3, "°"),
+      filter.causal ? "yes" : "no",
+    ]),
   );
   const names = ["Filter", "#Jitter in 100 ms", "#Lag", "#Largest offset", "#Causal"];
-  return tableBox("Filters", h("table", { id: "filters" }, headings(...names), h("tbody", {}, rows)));
+  return dataTable("Filters", names, rows, { id: "filters" });
 }

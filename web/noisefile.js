@@ -1,24 +1,22 @@
-// A log from anybody's sensor: the form that sends it, how far it is, and its end on request.
+// The form that sends a log file, with progress and cancellation.
 
-import { get } from "./api.js";
-import { errorLine, field, h, onSubmit } from "./dom.js";
+import { errorLine, field, h, onSubmit, select } from "./dom.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 
 const ADDRESSES = { noise: "/api/noise", filters: "/api/filters" };
 const WORDS = { doing: "The service reads the log and analyses it.", share: "it is done" };
 
 /**
- * `found(what, answer)` is told what came of a log; of null where there is nothing (any more). `resume()` goes on with
- * what was asked for before the person went elsewhere.
+ * `found(what, answer)` is called with the analysis of a log, null while there is none. `resume()` continues what was
+ * requested before the view was left.
  */
 export function logForm(found, signal) {
   const file = h("input", { id: "log", type: "file", accept: ".csv,text/csv", required: true });
-  const what = h(
-    "select",
-    { id: "what" },
-    h("option", { value: "noise" }, "noise (static log)"),
-    h("option", { value: "filters" }, "filters (log with rest and rotation)"),
-  );
+  const choices = [
+    ["noise", "noise (static log)"],
+    ["filters", "filters (log with rest and rotation)"],
+  ];
+  const what = select({ id: "what" }, choices);
   const number = ([id, name]) => h("input", { id, name, type: "number", min: "0", step: "any", inputmode: "decimal" });
   const [rate, accel, gyro] = [
     ["rate", "rate_hz"],
@@ -27,7 +25,7 @@ export function logForm(found, signal) {
   ].map(number);
   const error = errorLine("noise-error");
   const work = new LongWork("log", WORDS, signal);
-  const told = h("p", { id: "log-told", class: "muted", role: "status" });
+  const state = h("p", { id: "log-told", class: "muted", role: "status" });
   const submit = h("button", { id: "analyse", type: "submit", class: "primary" }, "Analyse");
   const form = h(
     "form",
@@ -44,13 +42,13 @@ export function logForm(found, signal) {
     ),
     work.element,
     error.element,
-    h("div", { class: "buttons" }, submit, told),
+    h("div", { class: "buttons" }, submit, state),
   );
 
   async function carryOut(study, begun) {
-    told.textContent = "";
-    if (await begun) return found(study, work.answer ?? (await get(work.result, signal)));
-    if (!signal.aborted) told.textContent = CANCELLED;
+    state.textContent = "";
+    if (await begun) return found(study, await work.document());
+    if (!signal.aborted) state.textContent = CANCELLED;
   }
 
   function send() {
@@ -63,11 +61,7 @@ export function logForm(found, signal) {
 
   function resume() {
     const study = Object.keys(ADDRESSES).find((name) => LongWork.isUnderWay(ADDRESSES[name]));
-    if (!study) return;
-    submit.disabled = true;
-    carryOut(study, work.resume(ADDRESSES[study]))
-      .catch((problem) => error.say(problem))
-      .finally(() => (submit.disabled = false));
+    if (study) work.resumeWith(ADDRESSES[study], submit, error, (begun) => carryOut(study, begun));
   }
 
   onSubmit(form, submit, error, send);

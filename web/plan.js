@@ -1,31 +1,31 @@
-// The plan as a form: the usual fields in sight, the rest folded; how many poses and how long.
+// The form of a plan: usual fields, folded advanced fields, number of poses and duration.
 
-import { ApiError, post } from "./api.js";
-import { fill, h, markWrong } from "./dom.js";
+import { post, serviceError } from "./api.js";
+import { field, fill, h, markWrong, paragraphs, select } from "./dom.js";
 import { duration, plural } from "./format.js";
 import { mountFields, numbers } from "./mounts.js";
 
-const TYPING_MS = 250; // the service is not asked for what is half typed
+const TYPING_MS = 250; // no request while the user types
 
 const RANGE = [
-  field("start_deg", "From", "°", -60),
-  field("stop_deg", "To", "°", 60),
-  field("step_deg", "Step", "°", 10),
+  spec("start_deg", "From", "°", -60),
+  spec("stop_deg", "To", "°", 60),
+  spec("step_deg", "Step", "°", 10),
 ];
 const USUAL = [
-  field("sweeps", "Sweeps", "", 4, { whole: true }),
-  field("settle_s", "Settling time", "s", 1),
-  field("dwell_s", "Dwell time", "s", 2),
+  spec("sweeps", "Sweeps", "", 4, { whole: true }),
+  spec("settle_s", "Settling time", "s", 1),
+  spec("dwell_s", "Dwell time", "s", 2),
 ];
 const ADVANCED = [
-  field("jitter_deg", "Jitter of each elevation, ±", "°", 0),
-  field("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
-  field("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
-  field("expanded_uncertainty_deg", "Stop at expanded uncertainty", "°", null, { hint: "whole plan" }),
-  field("velocity_dps", "Stage velocity", "°/s", null, { hint: "stage default" }),
-  field("wait_s", "Wait before each sweep", "s", 0),
-  field("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),
-  field("seed", "Seed", "", 0, { whole: true }),
+  spec("jitter_deg", "Elevation jitter", "±°", 0),
+  spec("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
+  spec("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
+  spec("expanded_uncertainty_deg", "Stop at expanded uncertainty", "°", null, { hint: "whole plan" }),
+  spec("velocity_dps", "Stage velocity", "°/s", null, { hint: "stage default" }),
+  spec("wait_s", "Wait before each sweep", "s", 0),
+  spec("wait_temperature_c", "Wait for temperature", "°C", null, { hint: "do not wait" }),
+  spec("seed", "Seed", "", 0, { whole: true }),
 ];
 const ORDERS = [
   ["sweep", "Up, then down"],
@@ -33,46 +33,32 @@ const ORDERS = [
   ["given", "As given"],
 ];
 
-function field(name, label, unit, value, { whole = false, hint = null } = {}) {
+function spec(name, label, unit, value, { whole = false, hint = null } = {}) {
   return { name, label, unit, value, whole, hint };
 }
 
 /**
- * The form's fieldset: `value()` is the plan it says, `estimate()` tells anew how much it is, and what is known of it
- * before it begins, for the rig and unit of `of()`. `signal` is aborted when the view is left.
+ * The form's fieldset: `value()` is its plan; `estimate()` shows the plan's size and warnings again, for the rig and unit
+ * of `of()`. `signal` aborts when the view is left.
  */
 export function planForm(of, signal) {
   const inputs = new Map();
-  const make = (spec) => labelled(spec, inputs);
+  const make = (one) => labelled(one, inputs);
   const asRange = radio("range", "Range", true);
   const asList = radio("list", "List", false);
-  const asTurns = radio("turns", "Sweep, without stopping", false);
+  const asTurns = radio("turns", "Continuous sweep", false);
   const list = h("input", {
     id: "elevations_deg",
     type: "text",
     inputmode: "text",
     placeholder: "−60, −20, 0, 20, 60",
   });
-  const order = h(
-    "select",
-    { id: "order" },
-    ORDERS.map(([value, label]) => h("option", { value }, label)),
-  );
+  const order = select({ id: "order" }, ORDERS);
   const summary = h("p", { id: "plan-summary", class: "summary", "aria-live": "polite" });
   const cautions = h("div", { id: "plan-warnings", class: "cautions", role: "status", hidden: true });
   const range = h("div", { class: "fields three" }, RANGE.map(make));
-  const given = h(
-    "div",
-    { class: "field", hidden: true },
-    h("label", { for: "elevations_deg" }, "Elevations, °, in any order"),
-    list,
-  );
-  const advanced = h(
-    "details",
-    {},
-    h("summary", {}, "More settings"),
-    h("div", { class: "fields two" }, ADVANCED.map(make)),
-  );
+  const given = field("elevations_deg", "Elevations, °, in any order", list);
+  const advanced = h("details", {}, h("summary", {}, "More settings"), h("div", { class: "fields two" }, ADVANCED.map(make)));
   const mounts = mountFields();
   const element = h(
     "fieldset",
@@ -87,12 +73,7 @@ export function planForm(of, signal) {
     ),
     range,
     given,
-    h(
-      "div",
-      { class: "fields four" },
-      h("div", { class: "field" }, h("label", { for: "order" }, "Order"), order),
-      USUAL.map(make),
-    ),
+    h("div", { class: "fields four" }, field("order", "Order", order), USUAL.map(make)),
     mounts.element,
     advanced,
     summary,
@@ -101,8 +82,8 @@ export function planForm(of, signal) {
 
   function value() {
     let plan = asTurns.input.checked ? { kind: "sweep", order: "sweep" } : { order: order.value, ...mounts.value() };
-    for (const spec of [...(asList.input.checked ? [] : RANGE), ...USUAL, ...ADVANCED]) {
-      plan[spec.name] = number(inputs.get(spec.name));
+    for (const { name } of [...(asList.input.checked ? [] : RANGE), ...USUAL, ...ADVANCED]) {
+      plan[name] = number(inputs.get(name));
     }
     const { expanded_uncertainty_deg: wanted, ...rest } = plan;
     plan = { ...rest, until: wanted === null ? null : { expanded_uncertainty_deg: wanted } };
@@ -115,7 +96,7 @@ export function planForm(of, signal) {
   function refresh() {
     range.hidden = asList.input.checked;
     given.hidden = !asList.input.checked;
-    for (const spec of RANGE) inputs.get(spec.name).disabled = asList.input.checked;
+    for (const { name } of RANGE) inputs.get(name).disabled = asList.input.checked;
     list.required = asList.input.checked;
     order.disabled = mounts.element.hidden = asTurns.input.checked;
     jitterForMounts();
@@ -123,7 +104,7 @@ export function planForm(of, signal) {
     estimate();
   }
 
-  /** What the stage does between the elevations of a grid shows in no mount, unless they are jittered. */
+  /** Presets a jitter for several mounts: without it, stage errors between the grid's elevations stay undetected. */
   function jitterForMounts() {
     const several = !asTurns.input.checked && mounts.value().mounts_deg.length > 1;
     const jitter = inputs.get("jitter_deg");
@@ -150,41 +131,37 @@ export function planForm(of, signal) {
     asked = new AbortController();
     const plan = value();
     try {
-      const said = await post("/api/plans/estimate", { ...of(), plan }, asked.signal);
-      fill(summary, estimateText(plan, said));
-      warn(said.warnings);
+      const estimated = await post("/api/plans/estimate", { ...of(), plan }, asked.signal);
+      fill(summary, estimateText(plan, estimated));
+      warn(estimated.warnings);
     } catch (problem) {
       if (problem.name === "AbortError") return;
-      if (!(problem instanceof ApiError)) throw problem;
-      fill(summary, problem.message);
+      fill(summary, serviceError(problem).message);
       markWrong(element, problem.fields);
     }
   }
 
   function warn(sentences) {
     cautions.hidden = !sentences.length;
-    fill(
-      cautions,
-      sentences.map((sentence) => h("p", {}, sentence)),
-    );
+    fill(cautions, paragraphs(sentences));
   }
 
   element.addEventListener("input", refresh);
   signal.addEventListener("abort", forget);
   refresh();
-  /** What the address of the form says of the plan: `mounts=0,120&axis=x`. */
+  /** Fills the plan from the address: `mounts=0,120&axis=x`. */
   function prefill(query) {
     mounts.set({ mounts_deg: query.get("mounts")?.split(","), mount_axis: query.get("axis") });
     refresh();
   }
 
-  /** The form says a plan: one that the service has designed, or that of an earlier list. */
+  /** Fills the form from a plan: one that the service has designed, or that of an earlier batch. */
   function take(plan) {
-    const said = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg ?? null };
-    for (const [name, input] of inputs) if (name in said) input.value = said[name] ?? "";
+    const values = { ...plan, expanded_uncertainty_deg: plan.until?.expanded_uncertainty_deg ?? null };
+    for (const [name, input] of inputs) if (name in values) input.value = values[name] ?? "";
     order.value = plan.order;
     mounts.set(plan);
-    hadSeveral = plan.mounts_deg?.length > 1; // its jitter is as it says
+    hadSeveral = plan.mounts_deg?.length > 1; // with its own jitter
     const shape = plan.kind === "sweep" ? asTurns : plan.elevations_deg ? asList : asRange;
     shape.input.checked = true;
     if (shape === asList) list.value = plan.elevations_deg.join(", ").replaceAll("-", "−");
@@ -194,7 +171,7 @@ export function planForm(of, signal) {
   return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill, take };
 }
 
-/** "Design a plan", folded: what it takes is asked for when somebody opens it. */
+/** "Design a plan", folded: loaded when the user opens it. */
 function designer(of, take, signal) {
   const element = h("details", { id: "designer" }, h("summary", {}, "Design a plan"));
   const open = async () => {
@@ -215,7 +192,7 @@ function labelled({ name, label, unit, value, whole, hint }, inputs) {
     required: value !== null,
   });
   inputs.set(name, input);
-  return h("div", { class: "field" }, h("label", { for: name }, unit ? `${label}, ${unit}` : label), input);
+  return field(name, unit ? `${label}, ${unit}` : label, input);
 }
 
 function radio(value, label, checked) {
@@ -227,16 +204,12 @@ function number(input) {
   return input.value === "" ? null : Number(input.value);
 }
 
-/** How much a plan is, in words, as the service has computed it. */
+/** The number of poses and the duration that the service has estimated. */
 function estimateText(plan, { n_poses: poses, wall_s: seconds }) {
   const upTo = plan.target_std_deg || plan.until ? "at most about" : "about";
   const turns = (plan.mounts_deg?.length ?? 1) - 1;
-  const more = [
-    plan.wait_temperature_c === null ? "" : ", and the wait for temperature",
-    turns ? `; ${plural(poses / plan.mounts_deg.length, "pose")} a mount, and the unit turned ${["", "once", "twice"][turns] ?? `${turns} times`} in between` : "",
-  ].join("");
-  return [
-    h("strong", {}, plural(poses, "pose")),
-    `, ${upTo} ${duration(seconds)}${more}`,
-  ];
+  const wait = plan.wait_temperature_c === null ? "" : ", plus the wait for temperature";
+  const each = turns && `; ${plural(poses / plan.mounts_deg.length, "pose")} per mounting, the unit remounted `;
+  const often = turns && (["once", "twice"][turns - 1] ?? `${turns} times`);
+  return [h("strong", {}, plural(poses, "pose")), `, ${upTo} ${duration(seconds)}${wait}`, turns > 0 && each + often];
 }

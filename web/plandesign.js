@@ -1,7 +1,7 @@
-// "Design a plan": the service designs the shortest plan for an uncertainty, and the form takes it.
+// "Design a plan": the service designs the shortest plan for an uncertainty; the form can take it over.
 
-import { ApiError, get } from "./api.js";
-import { fill, h, headings, held, tableBox } from "./dom.js";
+import { serviceError } from "./api.js";
+import { bullets, field, figureList, fill, h, headings, held, numberCell, tableBox, tableRow } from "./dom.js";
 import { duration, plural, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 
@@ -9,12 +9,12 @@ const ADDRESS = "/api/plans/design";
 const WORDS = { doing: "Designing the plan.", share: "the designs are tried" };
 
 /**
- * What is asked, and what comes of it. `of()` is rig, unit and the plan that is kept; `take(plan)` has the form take
- * one; `signal` is aborted when the view is left.
+ * The request for a design and its result. `of()` is rig, unit and current plan; `take(plan)` fills the form with the
+ * designed one; `signal` aborts when the view is left.
  */
 export function planDesigner(of, take, signal) {
   const target = input("target_u_deg", "number", { step: "any", placeholder: "0.5" });
-  const time = input("time_s", "number", { step: "any", placeholder: "as long as it takes" });
+  const time = input("time_s", "number", { step: "any", placeholder: "no limit" });
   const trace = input("trace", "checkbox", { checked: true });
   const sweep = input("may-sweep", "checkbox", { checked: true });
   const early = input("stop-early", "checkbox");
@@ -24,15 +24,15 @@ export function planDesigner(of, take, signal) {
   const fields = h(
     "div",
     { class: "fields two" },
-    h("div", { class: "field" }, h("label", { for: target.id }, "Expanded uncertainty wanted, °"), target),
-    h("div", { class: "field" }, h("label", { for: time.id }, "Or: time available, s"), time),
-    h("label", { for: trace.id, class: "check" }, trace, "Trace effects: poses enough to find and name them"),
-    h("label", { for: sweep.id, class: "check" }, sweep, "Sweep without stopping where that is faster"),
-    h("label", { for: early.id, class: "check" }, early, "Sequential stopping: end the run once the uncertainty is reached"),
+    field(target.id, "Target expanded uncertainty, °", target),
+    field(time.id, "or available time, s", time),
+    check(trace, "Trace effects", "Enough poses to find and name physical effects."),
+    check(sweep, "Allow continuous sweeps", "Used where they are faster."),
+    check(early, "Sequential stopping", "Ends the run when it reaches the target uncertainty."),
   );
   fields.addEventListener("keydown", (event) => {
     if (event.key !== "Enter") return;
-    event.preventDefault(); // of the form around it, that would start a run
+    event.preventDefault(); // in the surrounding form it would start a run
     design();
   });
   fields.addEventListener("input", () => {
@@ -56,18 +56,17 @@ export function planDesigner(of, take, signal) {
   }
 
   async function answered(carriedOut) {
-    if (ask.disabled) return; // it is being looked for
+    if (ask.disabled) return; // in progress
     const release = held(ask);
     fill(answer);
     try {
       if (await carriedOut()) {
-        const said = work.answer ?? (await get(work.result, signal));
-        fill(answer, shown(said), useIt(said.plan));
+        const designed = await work.document();
+        fill(answer, shown(designed), useIt(designed.plan));
       } else if (!signal.aborted) fill(answer, h("p", { class: "muted" }, "Cancelled."));
     } catch (problem) {
       if (problem.name === "AbortError") return;
-      if (!(problem instanceof ApiError)) throw problem;
-      fill(answer, h("p", { id: "design-refused", class: "cautions" }, problem.message));
+      fill(answer, h("p", { id: "design-refused", class: "cautions" }, serviceError(problem).message));
     } finally {
       release();
     }
@@ -76,23 +75,25 @@ export function planDesigner(of, take, signal) {
   function useIt(plan) {
     const use = () => {
       take(plan);
-      fill(answer, h("p", { class: "muted" }, "The form below has this plan."));
-      ask.focus(); // what was pressed is gone
+      fill(answer, h("p", { class: "muted" }, "Plan entered in the form below."));
+      ask.focus(); // the pressed button is gone
     };
-    return h(
-      "div",
-      { class: "buttons" },
-      h("button", { type: "button", id: "use-plan", on: { click: use } }, "Use this plan"),
-    );
+    const button = h("button", { type: "button", id: "use-plan", on: { click: use } }, "Use this plan");
+    return h("div", { class: "buttons" }, button);
   }
 
   if (LongWork.isUnderWay(ADDRESS)) answered(() => work.resume(ADDRESS));
   return h("div", { id: "plan-design" }, fields, h("div", { class: "buttons" }, ask), work.element, answer);
 }
 
-/** An input that belongs to no form: what is asked here is no part of the run. */
+/** An input outside the surrounding form, which describes the run. */
 function input(id, type, props = {}) {
   return h("input", { id, type, form: "no-form", ...props });
+}
+
+/** A checkbox with its label and a hint. */
+function check(box, label, hint) {
+  return h("div", {}, h("label", { for: box.id, class: "check" }, box, label), h("small", { class: "muted" }, hint));
 }
 
 function shown({ plan, expected, limit, suspects, says }) {
@@ -104,9 +105,9 @@ function shown({ plan, expected, limit, suspects, says }) {
     ["Lower bound of the time", duration(limit.duration_s)],
   ];
   return [
-    h("dl", { class: "figures" }, rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+    figureList(rows),
     suspects.length > 0 && tableBox("Detectable effects", tableOf(suspects)),
-    h("ul", { class: "says" }, says.map((sentence) => h("li", {}, sentence))),
+    bullets(says, { class: "says" }),
   ];
 }
 
@@ -114,7 +115,7 @@ function poses({ kind, until, elevations_deg: elevations, dwell_s: dwell, sweeps
   const most = until ? " at most" : "";
   if (kind !== "sweep") return [["Poses", `${plural(elevations.length, "pose")} of ${dwell}\u00a0s${most}`]];
   return [
-    ["Passes without stopping", `${sweeps}${most}`],
+    ["Continuous traverses", `${sweeps}${most}`],
     ["Velocity", significant(velocity, 3, "°/s")],
     ["Time per pose", `${dwell}\u00a0s`],
   ];
@@ -131,11 +132,8 @@ function tableOf(suspects) {
 }
 
 function row({ title, rms_deg: rms, value, unit }) {
-  return h(
-    "tr",
-    {},
-    h("th", { scope: "row" }, title),
-    h("td", { class: "number" }, rms === null ? "not shown" : significant(rms, 2, "°")),
-    h("td", { class: "number" }, value === null ? "–" : significant(value, 2, unit ?? "")),
-  );
+  return tableRow(title, [
+    numberCell(rms === null ? "undetected" : significant(rms, 2, "°")),
+    numberCell(value === null ? "–" : significant(value, 2, unit ?? "")),
+  ]);
 }

@@ -1,49 +1,32 @@
-// Who answers on which port, and what to write into calrig.toml for it.
+// Scans the serial ports: devices found, and their lines for calrig.toml.
 
 import { post } from "./api.js";
-import { errorLine, fill, h, headings, held, tableBox } from "./dom.js";
+import { attempt, dataTable, errorLine, fill, h, tableBox } from "./dom.js";
 
 export function portsLook() {
   const error = errorLine("ports-error");
   const shown = h("div", { "data-testid": "ports", "aria-live": "polite" });
   const look = h("button", { type: "button", id: "look-at-ports" }, "Scan serial ports");
-  look.addEventListener("click", async () => {
-    const release = held(look);
-    error.say(null);
+  look.addEventListener("click", () => {
     fill(shown, h("p", { class: "muted" }, "Scanning every port, about seven seconds…"));
-    try {
-      show(shown, await post("/api/rigs/scan"));
-    } catch (problem) {
-      fill(shown);
-      error.say(problem);
-    } finally {
-      release();
-    }
+    const scan = async () => show(shown, await post("/api/rigs/scan"));
+    return attempt([look], error, scan, () => fill(shown));
   });
   return h(
     "div",
     {},
     h("div", { class: "buttons" }, look),
-    h("p", { class: "muted" }, "Nothing moves; the scan resets boards that are not in a run."),
+    h("p", { class: "muted" }, "Nothing moves. The scan resets boards that are not in a run."),
     error.element,
     shown,
   );
 }
 
 function show(place, { found, stanza }) {
-  if (found.length === 0) {
-    fill(place, h("p", { class: "muted" }, "There is no serial port: is the USB cable plugged in?"));
-    return;
-  }
-  const table = h(
-    "table",
-    {},
-    headings("Port", "Device", "Identity", "USB adapter"),
-    h("tbody", {}, found.map(row)),
-  );
+  if (!found.length) return fill(place, h("p", { class: "muted" }, "No serial port found. Check the USB cable."));
   fill(
     place,
-    tableBox("Ports", table),
+    dataTable("Ports", ["Port", "Device", "Identity", "USB adapter"], found.map(row)),
     stanza && h("p", { class: "muted" }, "For calrig.toml:"),
     stanza && tableBox("For calrig.toml", h("pre", { "data-testid": "stanza" }, stanza)),
   );

@@ -1,39 +1,28 @@
-// The poses of a run as a table; one can be excluded, with a reason, and stays in sight.
+// The table of a run's poses; excluded ones stay visible, with the reason.
 
-import { h, headings } from "./dom.js";
+import { h, headings, numberCell } from "./dom.js";
 import { fixed, plusMinus } from "./format.js";
 
 const APPROACH = { 1: ["▲", "upward"], "-1": ["▼", "downward"] };
 
+const ANGLES = ["#Target", "#Stage", "#Reading", "#Raw error", "#Residual"];
+const NAMES = ["Pose", "#Sweep", ...ANGLES, "Approach", "#Temperature", "#Samples", "#Settling", ""];
+
 export class PoseTable {
-  /** Called with a pose when somebody wants it out, or in again. */
+  /** The callbacks get the pose to exclude or to include again. */
   constructor(onExclude, onInclude) {
     this.onExclude = onExclude;
     this.onInclude = onInclude;
     this.rows = new Map();
     this.body = h("tbody");
-    const names = [
-      "Pose",
-      "#Sweep",
-      "#Target",
-      "#Stage",
-      "#Reading",
-      "#Raw error",
-      "#Residual",
-      "Approach",
-      "#Temperature",
-      "#Samples",
-      "#Settling",
-      "",
-    ];
-    this.element = h("table", { id: "poses-table" }, headings(...names), this.body);
+    this.element = h("table", { id: "poses-table" }, headings(...NAMES), this.body);
   }
 
   get size() {
     return this.rows.size;
   }
 
-  /** Shows poses, each once: one that is there already is replaced. */
+  /** Adds poses; one that is in the table already is replaced. */
   show(poses, excludable) {
     for (const pose of poses) {
       const row = this.#row(pose, excludable);
@@ -46,49 +35,37 @@ export class PoseTable {
 
   #row(pose, excludable) {
     const [arrow, words] = APPROACH[pose.approach] ?? ["–", "not known"];
-    const number = (text) => h("td", { class: "number" }, text);
     return h(
       "tr",
       { class: pose.excluded && "voided", "data-pose": pose.index },
       h("th", { scope: "row" }, pose.index),
-      number(pose.pass ?? "–"),
-      number(fixed(pose.target_deg, 2, "°")),
-      number(orDash(pose.stage_deg, 3, "°")),
-      number(plusMinus(pose.reading_deg, pose.reading_stderr_deg, "°")),
-      number(orDash(pose.raw_error_deg, 3, "°")),
-      number(orDash(pose.residual_deg, 3, "°")),
+      numberCell(pose.pass ?? "–"),
+      numberCell(fixed(pose.target_deg, 2, "°")),
+      numberCell(orDash(pose.stage_deg, 3, "°")),
+      numberCell(plusMinus(pose.reading_deg, pose.reading_stderr_deg, "°")),
+      numberCell(orDash(pose.raw_error_deg, 3, "°")),
+      numberCell(orDash(pose.residual_deg, 3, "°")),
       h(
         "td",
         { class: "plain" },
         h("span", { role: "img", "aria-label": `approached: ${words}`, title: words }, arrow),
       ),
-      number(orDash(pose.temperature_c, 1, "°C")),
-      number(pose.n_samples ?? "–"),
-      number(orDash(pose.settle_s, 2, "s")),
+      numberCell(orDash(pose.temperature_c, 1, "°C")),
+      numberCell(pose.n_samples ?? "–"),
+      numberCell(orDash(pose.settle_s, 2, "s")),
       h("td", { class: "plain" }, this.#action(pose, excludable)),
     );
   }
 
   #action(pose, excludable) {
     const [verb, act] = pose.excluded ? ["Include", this.onInclude] : ["Exclude", this.onExclude];
-    const button = h(
-      "button",
-      {
-        type: "button",
-        class: "small",
-        "aria-label": `${verb} pose ${pose.index}`,
-        on: { click: () => act(pose) },
-      },
-      verb,
-    );
-    return [
-      pose.excluded && h("span", { class: "reason" }, `excluded: ${pose.excluded} `),
-      excludable && button,
-    ];
+    const props = { type: "button", class: "small", "aria-label": `${verb} pose ${pose.index}`, on: { click: () => act(pose) } };
+    const reason = pose.excluded && h("span", { class: "reason" }, `excluded: ${pose.excluded} `);
+    return [reason, excludable && h("button", props, verb)];
   }
 }
 
-/** In a table a dash reads as "not known"; the column's heading says of what. */
+/** In tables a dash stands for "not known". */
 function orDash(value, decimals, unit) {
   return value === null || value === undefined ? "–" : fixed(value, decimals, unit);
 }

@@ -1,4 +1,4 @@
-// Where a run comes from, folded: whatever the service knows, by name.
+// A run's plan and provenance as folded lists of names and values.
 
 import { h } from "./dom.js";
 
@@ -14,12 +14,8 @@ export function provenanceDetails(run) {
 function details(title, document, testid) {
   const rows = flatten(document);
   const body = rows.length
-    ? h(
-        "dl",
-        { class: "pairs" },
-        rows.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]),
-      )
-    : h("p", { class: "muted" }, "Nothing is recorded.");
+    ? h("dl", { class: "pairs" }, rows.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]))
+    : h("p", { class: "muted" }, "Nothing recorded.");
   return h("details", { "data-testid": testid }, h("summary", {}, title), body);
 }
 

@@ -1,6 +1,6 @@
-// A list of units, one after the other: mount what is said, press Enter, read the result from across the room.
+// A batch of units, one after another: mount the unit, press Enter, read the result from across the room.
 
-import { ApiError, get, getNews, post } from "./api.js";
+import { get, getNews, post, serviceError } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { errorLine, fill, h } from "./dom.js";
 import { moment, plural } from "./format.js";
@@ -13,11 +13,11 @@ import { UnitsTable, counted, standingOf } from "./queuetable.js";
 
 const LOOK_MS = 500;
 const HIDDEN_LOOK_MS = 2000;
-const BOARDS_MS = 2000; // how often the service is asked to look at the boards of idle rigs
-const SCANNER_MS = 400; // an Enter so soon after a serial is the line feed of the scanner that sent it
-const TOUCH = matchMedia("(pointer: coarse)"); // there the focus brings a keyboard up over the instruction
+const BOARDS_MS = 2000; // interval of the presence checks of idle rigs
+const SCANNER_MS = 400; // an Enter so soon after a serial number is the line feed of the scanner
+const TOUCH = matchMedia("(pointer: coarse)"); // there the focus opens a keyboard over the instruction
 
-/** The newest list that is not another day's, the one that the address names, or the form for another one (`#/queue/new`). */
+/** The newest open batch of today, the one that the address names, or the form of a new one (`#/queue/new`). */
 export async function queueView({ root, parts: [id], signal }) {
   await styled();
   if (id && id !== "new") return new QueuePage(root, id, signal).begin();
@@ -31,11 +31,15 @@ export async function queueView({ root, parts: [id], signal }) {
 }
 
 function openLists(open) {
-  const line = ({ id, rigs, note, created_at: made }) => h("li", {}, h("a", { href: `#/queue/${encodeURIComponent(id)}` }, "List of ", moment(made)), ` on ${rigs.join(", ")}${note ? `: ${note}` : ""}`);
-  return h("section", { class: "card", "aria-label": "Open lists" }, h("p", {}, `${plural(open.length, "list")} open:`), h("ul", {}, open.map(line)));
+  const line = ({ id, rigs, note, created_at: made }) => {
+    const link = h("a", { href: `#/queue/${encodeURIComponent(id)}` }, "Batch of ", moment(made));
+    return h("li", {}, link, ` on ${rigs.join(", ")}${note ? `: ${note}` : ""}`);
+  };
+  const title = h("p", {}, `${plural(open.length, "open batch", "open batches")}:`);
+  return h("section", { class: "card", "aria-label": "Open batches" }, title, h("ul", {}, open.map(line)));
 }
 
-/** Its style comes with it: nobody else's page waits for it. */
+/** Loads the style of this view, which no other view needs. */
 function styled() {
   if (document.getElementById("queue-style")) return null;
   const href = new URL("./queue.css", import.meta.url);
@@ -45,11 +49,15 @@ function styled() {
   });
 }
 
-/** What the keyboard does. */
+/** What Enter and a scanned serial number do. */
 function meaning(closed, { left }) {
-  if (closed) return "This list takes no more units. Enter makes another list; a serial, scanned or typed, begins it.";
-  if (!left) return "Enter makes another list. A serial, scanned or typed, joins this one.";
-  return "Enter starts the unit that is mounted. A serial, scanned or typed, starts it where it is asked for, or joins the list.";
+  const another = "Press Enter to create another batch.";
+  if (closed) return `This batch takes no more units. ${another} A scanned or typed serial number begins it.`;
+  if (!left) return `${another} A scanned or typed serial number joins this one.`;
+  return (
+    "Press Enter to start the mounted unit. Scan or type a serial number: a unit that a rig asks for starts; any other " +
+    "joins the batch."
+  );
 }
 
 class QueuePage {
@@ -63,15 +71,16 @@ class QueuePage {
     this.said = h("p", { id: "queue-said", role: "status", "aria-live": "polite" });
     this.rigs = h("div", { class: "turns" });
     this.units = new UnitsTable((unit) => this.#ask(`take ${unit}`, async () => this.#show(await post(`${this.path}/remove`, { unit }))));
-    this.asked = new Map(); // promises, by what each is about
+    this.asked = new Map(); // requests in progress, by subject
     this.answers = 0;
-    this.untold = []; // serials that the service has not been told yet
+    this.untold = []; // serial numbers not sent to the service yet
     this.scannedAt = this.lookedAt = -Infinity;
-    this.scan = h("input", { id: "scan", type: "text", autocomplete: "off", spellcheck: "false", disabled: !may("operator") });
+    const quiet = { autocomplete: "off", spellcheck: "false" };
+    this.scan = h("input", { id: "scan", type: "text", disabled: !may("operator"), ...quiet });
     this.add = h("button", { type: "submit" }, "Enter");
     this.facts = h("p", { class: "facts" });
     this.means = h("label", { for: "scan" });
-    this.other = h("a", { href: "#/queue/new" }, "Make another list");
+    this.other = h("a", { href: "#/queue/new" }, "New batch");
     this.form = h(
       "form",
       { class: "scan", on: { submit: (event) => this.#entered(event), keydown: (event) => event.repeat && event.key === "Enter" && event.preventDefault() } },
@@ -102,7 +111,7 @@ class QueuePage {
     this.#soon(LOOK_MS);
   }
 
-  /** The keyboard, and with it a scanner, goes here; the page stays where it is. */
+  /** Directs the keyboard, and with it a scanner, to the input, without scrolling. */
   #focus() {
     this.scan.focus({ preventScroll: true });
   }
@@ -113,10 +122,10 @@ class QueuePage {
     const close = () => {
       const { left } = counted(this.list.units);
       if (!left) return this.#ask("close", end);
-      const text = `${plural(left, "unit")} of it not measured. A list that is closed stays so; a run under way goes on.`;
-      return askConfirmation({ title: "Close this list?", text, action: "Close it" }, end);
+      const text = `${plural(left, "unit")} not measured. A closed batch cannot be reopened. A run in progress continues.`;
+      return askConfirmation({ title: "Close this batch?", text, action: "Close" }, end);
     };
-    return [this.other, h("button", { id: "close-list", type: "button", class: "small", on: { click: close } }, "Close this list")];
+    return [this.other, h("button", { id: "close-list", type: "button", class: "small", on: { click: close } }, "Close this batch")];
   }
 
   #soon(after) {
@@ -129,12 +138,12 @@ class QueuePage {
       const { answers } = this;
       const news = await getNews(this.path, this.tag, this.signal);
       if (news && answers === this.answers) {
-        // nothing younger is shown
+        // no newer answer is shown
         this.tag = news.tag;
         this.#show(news.answer);
       }
       if (this.untold.length) this.#ask("join", () => this.#join());
-      if (this.refused?.status === 0) this.refused = null; // it answers again
+      if (this.refused?.status === 0) this.refused = null; // the service answers again
       this.error.say(this.refused ?? null);
     } catch (problem) {
       this.#say(problem);
@@ -142,11 +151,11 @@ class QueuePage {
     this.#soon(document.hidden ? HIDDEN_LOOK_MS : LOOK_MS);
   }
 
-  /** Whoever watches an open list has the boards of its idle rigs looked at; one that has just become so at once. */
+  /** Requests presence checks of the boards of idle rigs; for a rig that has just become idle at once. */
   async #haveBoardsLookedAt() {
     const idle = this.list.rigs.filter(({ on, busy_with: busy }) => on && on.state !== "running" && !busy);
     if (this.list.closed_at || !idle.length || document.hidden || !may("operator")) return;
-    const isNew = this.isLooking && idle.some(({ seen }) => !seen); // of a bench that is away nothing is
+    const isNew = this.isLooking && idle.some(({ seen }) => !seen); // a bench that is offline reports none
     if (!isNew && performance.now() - this.lookedAt < BOARDS_MS) return;
     this.lookedAt = performance.now();
     const { rigs } = await post(`${this.path}/look`, {}, this.signal);
@@ -185,7 +194,7 @@ class QueuePage {
     this.units.show(list);
   }
 
-  /** Which rig Enter means: the only one that asks, or the one whose board has said last that its unit is there. */
+  /** Chooses the rig that Enter starts: the only one that asks, or the one whose board last reported its unit. */
   #choose() {
     const asking = [...this.cards.values()].filter((card) => card.asks);
     const sure = asking.filter((card) => card.isSure);
@@ -194,7 +203,7 @@ class QueuePage {
     for (const card of this.cards.values()) card.point(card === this.meant, asking.length > 1);
   }
 
-  /** Enter alone, or a serial and Enter: what a bar-code reader types, faster than the service answers. */
+  /** Handles Enter alone, or a serial number and Enter, as a bar-code reader types it. */
   #entered(event) {
     event.preventDefault();
     const serial = asRead(this.scan.value);
@@ -206,11 +215,11 @@ class QueuePage {
     } else if (performance.now() - this.scannedAt > SCANNER_MS) {
       if (this.isOver) this.#another();
       else if (this.meant) this.meant.press();
-      else if ([...this.cards.values()].some((card) => card.asks)) this.#tell("Several rigs ask for a unit: scan the one that is mounted, or press its button.");
+      else if ([...this.cards.values()].some((card) => card.asks)) this.#tell("Several rigs ask for a unit. Scan the mounted unit, or press its button.");
     }
   }
 
-  /** To the form for another list, once what stands here can have been read; a serial goes with it. */
+  /** Opens the form of another batch, once the result here has been visible for a moment; a serial number goes along. */
   #another(serial = "") {
     if (serial) keepForNext(serial);
     else if ([...this.cards.values()].some((card) => card.isCalm)) return this.#tell(TOO_SOON);
@@ -220,7 +229,7 @@ class QueuePage {
   #scanned(typed) {
     const known = this.list.units.map(({ unit }) => unit);
     const alike = (unit) => unit.toLowerCase() === typed.toLowerCase();
-    const serial = known.includes(typed) ? typed : (known.find(alike) ?? typed); // a reader may send other case
+    const serial = known.includes(typed) ? typed : (known.find(alike) ?? typed); // a reader may change the case
     const cards = [...this.cards.values()];
     const theirs = cards.filter((one) => one.asks && one.unit === serial);
     const card = theirs.find((one) => !one.isSilent) ?? theirs[0];
@@ -231,14 +240,14 @@ class QueuePage {
     if (waits && place) {
       place.take(serial);
       this.#choose();
-      return this.#tell(place.rig.on ? `${serial} comes before the others.` : `${serial} may go to rig ${place.name} as well.`);
+      return this.#tell(place.rig.on ? `${serial} is next.` : `${serial} can be mounted on rig ${place.name} as well.`);
     }
     if (card) return card.press();
     this.untold.push(serial);
     return this.#ask("join", () => this.#join());
   }
 
-  /** Has what was scanned join the list. Where no answer comes it is kept, and joins once there is one: it starts nothing then. */
+  /** Adds scanned units to the batch. Without an answer they are stored and added once the service answers; they start nothing. */
   async #join() {
     while (this.untold.length) {
       const [serial] = this.untold;
@@ -248,14 +257,14 @@ class QueuePage {
         this.#tell(list.known.length ? standingOf(serial, list.units) : `${serial} was added.`);
       } catch (problem) {
         if (problem.status !== 0) this.untold.shift();
-        else this.#tell(`Scanned meanwhile, and kept here until the service answers: ${this.untold.join(", ")}.`);
+        else this.#tell(`The service does not answer. These units are kept here and added later: ${this.untold.join(", ")}.`);
         throw problem;
       }
       this.untold.shift();
     }
   }
 
-  /** One question at a time about each thing: none waits for the design of a run. What is refused stays in view until the next. */
+  /** Runs one request per subject at a time, so that none waits for the design of a run. A refusal stays visible until the next. */
   #ask(about, work) {
     if (!this.asked.has(about)) this.asked.set(about, this.#answered(work).finally(() => this.asked.delete(about)));
     return this.asked.get(about);
@@ -278,15 +287,13 @@ class QueuePage {
     }
   }
 
-  /** Says a line; one about what was seen on a rig holds as long as that is. */
+  /** Shows a message; one about a presence check lasts as long as its status. */
   #tell(text, about = null) {
     this.said.textContent = text;
     this.saidOf = about && { card: about, says: about.rig.seen?.says };
   }
 
   #say(problem) {
-    if (this.signal.aborted) return;
-    if (!(problem instanceof ApiError)) throw problem;
-    this.error.say(problem);
+    this.error.say(serviceError(problem, this.signal));
   }
 }

@@ -1,4 +1,4 @@
-// That a run has ended, for who looks elsewhere: the page's title, a sound, a notification.
+// Signals of the end of a run: page title, sound, notification.
 
 import { h } from "./dom.js";
 
@@ -16,14 +16,14 @@ export class Bell {
     this.#label();
   }
 
-  /** Tells what has ended since it was last called. */
+  /** Signals what has ended since the last call. */
   heed(rigs) {
     const now = new Map(rigs.map((rig) => [rig.name, `${rig.last?.run_id ?? ""} ${rig.on?.why ?? ""}`]));
     const before = this.heard;
     this.heard = now;
     const running = rigs.every(({ on }) => on?.state === "running");
     if (running) document.title = `${rigs.map(({ on }) => on.unit).join(", ")} · calrig`;
-    if (!before && rigs.length === 1 && !running) setTimeout(() => entitle(outcome(rigs[0]))); // loaded anew; after the view has its title
+    if (!before && rigs.length === 1 && !running) setTimeout(() => entitle(outcome(rigs[0]))); // after a reload, once the view has its title
     if (!before) return;
     for (const rig of rigs.filter(({ name }) => before.get(name) !== now.get(name) && before.has(name))) this.#tell(rig, before.get(rig.name));
   }
@@ -57,7 +57,7 @@ export class Bell {
   }
 }
 
-/** What a rig came to last: a word and its unit; null before there is any. */
+/** The last outcome of a rig: a word and the unit; null before the first. */
 function outcome({ last, on, nothing_measured: stopped }) {
   if (stopped) return ["stopped", on.unit];
   return last && [last.word, last.unit];
@@ -67,7 +67,7 @@ function entitle(came) {
   if (came) document.title = `${came[0].toUpperCase()} ${came[1]} · calrig`;
 }
 
-/** The last of each rig stays in view. */
+/** Shows one notification per rig, the latest. */
 function notify(text, rig) {
   try {
     new Notification(text, { tag: `calrig-queue-${rig}`, renotify: true });
@@ -78,7 +78,7 @@ function notify(text, rig) {
 
 let audio;
 
-/** A tone each; silent where the browser plays nothing before somebody has touched the page. */
+/** Plays the tones; silent before the user has interacted with the page, as browsers require. */
 function sound(tones) {
   if (!("AudioContext" in window) || !navigator.userActivation?.hasBeenActive) return;
   audio ??= new AudioContext();

@@ -1,4 +1,4 @@
-// A timer that a browser does not hold back in a tab that nobody sees, as it does a page's own to once a minute.
+// A timer in a worker: browsers throttle the timers of a hidden page to one per minute, but not those of its workers.
 
 let timer;
 

@@ -1,51 +1,59 @@
-// A new list: serials scanned, pasted or from a file; rigs, plan, operator and note stay for all of them.
+// The form of a new batch: serial numbers, rigs, plan, operator and note.
 
 import { get, post } from "./api.js";
-import { errorLine, field, h, onSubmit } from "./dom.js";
+import { errorLine, field, h, onSubmit, select } from "./dom.js";
 import { plural } from "./format.js";
 import { planForm } from "./plan.js";
 import { asRead, readerTypesInto } from "./queuekeys.js";
 
 const OPERATOR_KEY = "calrig.operator";
-const UNITS_KEY = "calrig.queue-units"; // scanned and not sent yet: a reload and the way back keep them
+const UNITS_KEY = "calrig.queue-units"; // not sent yet: they survive a reload
 
-/** Has a serial stand in the form of the next list, beside what does. */
+/** Adds a serial number to the form of the next batch. */
 export function keepForNext(serial) {
   sessionStorage.setItem(UNITS_KEY, [...lines(sessionStorage.getItem(UNITS_KEY) ?? ""), serial, ""].join("\n"));
 }
 
-/** `last` is the list made before, null without one: rigs and plan are those until somebody says otherwise. */
+/** `last` is the previous batch or null: its rigs and plan are the defaults. */
 export async function listForm(last, signal) {
   const rigs = await get("/api/rigs", signal);
   const units = h("textarea", { id: "units", rows: "10", spellcheck: "false", autocomplete: "off" });
   units.value = sessionStorage.getItem(UNITS_KEY);
   const file = h("input", { id: "csv", type: "file", accept: ".csv,text/csv,text/plain" });
   const skipped = h("p", { id: "csv-says", class: "muted", role: "status", "aria-live": "polite" });
-  const count = h("p", { id: "units-count", class: "muted", "aria-live": "polite" }, "Scan or paste: one a line.");
-  const ticks = rigs.map(({ name }, k) => h("input", { type: "checkbox", name: "rigs", value: name, id: `rig-${name}`, checked: last ? last.rigs.some((rig) => rig.name === name) : k === 0 }));
+  const count = h("p", { id: "units-count", class: "muted", "aria-live": "polite" }, "Scan or paste, one per line.");
+  const isUsed = (name, k) => (last ? last.rigs.some((rig) => rig.name === name) : k === 0);
+  const ticks = rigs.map(({ name }, k) =>
+    h("input", { type: "checkbox", name: "rigs", value: name, id: `rig-${name}`, checked: isUsed(name, k) }),
+  );
   const operator = h("input", { id: "operator", type: "text", autocomplete: "name", value: localStorage.getItem(OPERATOR_KEY) });
   const note = h("input", { id: "note", type: "text", autocomplete: "off" });
-  const failed = h(
-    "select",
-    { id: "failed" },
-    h("option", { value: "end" }, "measure it once more at the end"),
-    h("option", { value: "follow_up" }, "find out why, while it is mounted"),
-  );
+  const ways = [
+    ["end", "measure it again at the end"],
+    ["follow_up", "diagnose it while it is mounted"],
+  ];
+  const failed = select({ id: "failed" }, ways, last?.failed);
   const chosen = () => ticks.filter(({ checked }) => checked).map(({ value }) => value);
   const plan = planForm(() => ({ rig: chosen()[0] ?? null, unit: "" }), signal);
-  if (last) failed.value = last.failed;
-  if (["calibration", "sweep"].includes(last?.plan.kind)) plan.take(last.plan); // of no other kind has the form words
+  if (["calibration", "sweep"].includes(last?.plan.kind)) plan.take(last.plan); // the form has no other kinds
   const error = errorLine("queue-form-error");
-  const make = h("button", { id: "make-list", type: "submit", class: "primary" }, "Begin the list");
+  const make = h("button", { id: "make-list", type: "submit", class: "primary" }, "Start the batch");
+  const labels = ticks.map((tick) => h("label", { for: tick.id }, tick, tick.value));
   const form = h(
     "form",
     { class: "card start" },
-    field("units", "Serial numbers, one a line", units),
+    field("units", "Serial numbers, one per line", units),
     count,
-    field("csv", "or from a CSV: its column “unit” or “serial”, else the first", file),
+    field("csv", "or CSV file (column “unit” or “serial”, else the first)", file),
     skipped,
-    h("fieldset", {}, h("legend", {}, "Rigs, side by side"), h("div", { class: "choice" }, ticks.map((tick) => h("label", { for: tick.id }, tick, tick.value)))),
-    h("div", { class: "fields two" }, field("operator", "Operator (optional)", operator), field("note", "Note (optional)", note), field("failed", "A unit that fails", failed)),
+    h("fieldset", {}, h("legend", {}, "Rigs in parallel"), h("div", { class: "choice" }, labels)),
+    h(
+      "div",
+      { class: "fields two" },
+      field("operator", "Operator (optional)", operator),
+      field("note", "Note (optional)", note),
+      field("failed", "If a unit fails", failed),
+    ),
     plan.designer,
     plan.element,
     error.element,
@@ -55,7 +63,7 @@ export async function listForm(last, signal) {
     sessionStorage.setItem(UNITS_KEY, units.value);
     const serials = lines(units.value);
     const different = new Set(serials).size;
-    count.textContent = `${plural(different, "unit")}${different < serials.length ? ", some named twice: each has one turn" : ""}`;
+    count.textContent = `${plural(different, "unit")}${different < serials.length ? "; duplicates are measured once" : ""}`;
   };
   if (units.value) counted();
   units.addEventListener("input", counted);
@@ -68,13 +76,14 @@ export async function listForm(last, signal) {
     if (!table) return;
     try {
       const { units: serials, left_out: empty } = await post("/api/batches/read", { csv: await text(table) }, signal);
-      units.value = [...lines(units.value), ...serials, ""].join("\n"); // what is scanned next has a line of its own
-      skipped.textContent = `${table.name}: ${plural(serials.length, "serial")} added above${empty ? `; ${plural(empty, "row")} without one left out` : ""}.`;
+      units.value = [...lines(units.value), ...serials, ""].join("\n"); // the next scan begins a new line
+      const without = empty ? `; ${plural(empty, "row")} without one skipped` : "";
+      skipped.textContent = `${table.name}: ${plural(serials.length, "serial number")} added above${without}.`;
       counted();
     } catch (problem) {
       error.say(problem);
     }
-    file.value = ""; // it has been read, and may be chosen again
+    file.value = ""; // so that it can be chosen again
   });
   onSubmit(form, make, error, async () => {
     localStorage.setItem(OPERATOR_KEY, operator.value);
@@ -93,7 +102,7 @@ export async function listForm(last, signal) {
   return form;
 }
 
-/** A file as text: UTF-8 or UTF-16 by its mark, else what older spreadsheets write. */
+/** Decodes a file: UTF-8, UTF-16 with a byte order mark, else Windows-1252 of older spreadsheets. */
 async function text(file) {
   const bytes = await file.arrayBuffer();
   const [first, second] = new Uint8Array(bytes);

@@ -1,22 +1,22 @@
-// Where a bar-code reader types: it is a keyboard that asks nobody where the focus is.
+// Input of a bar-code reader, which types like a keyboard wherever the focus is.
 
 const TAKES_LETTERS = "input:not([type=checkbox], [type=radio], [type=file]), textarea, select, dialog";
 const TAKES_ENTER = "input, textarea, select, dialog, button, a, summary";
 
-const SYMBOLOGY = /^\][A-Za-z][0-9A-Za-z]/; // ISO/IEC 15424: "]C1" before a GS1-128, where a reader is set to send it
+const SYMBOLOGY = /^\][A-Za-z][0-9A-Za-z]/; // ISO/IEC 15424: "]C1" before a GS1-128, if the reader is set to send it
 
-/** The serial in what a reader has typed. */
+/** The serial number in what a reader has typed. */
 export function asRead(line) {
   return line.trim().replace(SYMBOLOGY, "");
 }
 
-/** What nobody else takes of the keyboard goes to the end of `input`: letters also from a button that has the focus. */
+/** Directs keys that no other control takes to the end of `input`: letters also while a button has the focus. */
 export function readerTypesInto(input, signal) {
   const heard = ({ key, ctrlKey, altKey, metaKey }) => {
     const isLetter = key.length === 1 && key !== " " && !ctrlKey && !altKey && !metaKey;
     const taken = isLetter ? TAKES_LETTERS : key === "Enter" && TAKES_ENTER;
     if (!taken || document.activeElement?.closest(taken)) return;
-    input.focus({ preventScroll: true }); // the page stays where it is
+    input.focus({ preventScroll: true }); // without scrolling
     input.setSelectionRange(input.value.length, input.value.length);
   };
   document.addEventListener("keydown", heard, { signal });

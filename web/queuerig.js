@@ -1,15 +1,15 @@
-// One rig of a list: what to do at it now, or how far it is, and what came out last, in letters for three metres.
+// One rig of a batch: instruction or progress, and the last result, legible from three metres.
 
 import { h, fill, runLink } from "./dom.js";
 import { duration, fixed } from "./format.js";
 import { may } from "./me.js";
 
-const CALM_MS = 700; // an Enter meant for what stood here before starts nothing
-export const TOO_SOON = "That was sooner than the instruction could be read: press Enter once more.";
+const CALM_MS = 700; // an Enter that was meant for the previous instruction starts nothing
+export const TOO_SOON = "Enter ignored: the instruction had just changed. Read it, then press Enter again.";
 const SHAPES = { pass: "✓", fail: "✗", done: "●", stopped: "–" };
 const SIGHTS = { there: "✓", wrong: "✗", askew: "✗", absent: "–", moving: "…", looking: "…" };
 
-/** `begin({ rig, unit }, signal)` starts a turn; `ask(verb, run)` posts resume or abort; `tell(text)` says why nothing began. */
+/** `begin({ rig, unit }, signal)` starts a unit; `ask(verb, run)` posts resume or abort; `tell(text)` shows why nothing started. */
 export class RigCard {
   constructor(name, { begin, ask, tell }) {
     this.name = name;
@@ -23,8 +23,10 @@ export class RigCard {
     this.why = h("p", { class: "error", hidden: true });
     this.bar = h("progress", { max: "1", value: "0", "aria-label": `Progress on ${name}`, hidden: true });
     this.more = h("p", { class: "muted" });
-    this.go = h("button", { type: "button", class: "primary", "data-go": name, on: { click: () => this.press({ byHand: true }) } });
-    this.abort = h("button", { type: "button", class: "danger", on: { click: () => (this.leaving ? this.leaving.abort() : ask("abort", this.rig.on.run_id)) } });
+    const button = (props, click) => h("button", { type: "button", ...props, on: { click } });
+    this.go = button({ class: "primary", "data-go": name }, () => this.press({ byHand: true }));
+    const abort = () => (this.leaving ? this.leaving.abort() : ask("abort", this.rig.on.run_id));
+    this.abort = button({ class: "danger" }, abort);
     this.element = h(
       "section",
       { class: "card turn", "aria-label": `Rig ${name}`, "data-rig-turn": name },
@@ -46,38 +48,38 @@ export class RigCard {
     return Boolean(this.does);
   }
 
-  /** Whether its board has said that the unit asked for is there. */
+  /** Whether its board has reported the requested unit. */
   get isSure() {
     return this.asks && ["there", "wrong"].includes(this.rig.seen?.state) && this.rig.seen.serial === this.unit;
   }
 
-  /** Whether no board answers here: Enter and a scan start nothing, the button does, by its label. */
+  /** Whether no board answers: then Enter and a scan start nothing, only the button does. */
   get isSilent() {
     return this.rig.seen?.state === "absent";
   }
 
-  /** Whether it is idle for want of a unit. */
+  /** Whether it is idle without a unit. */
   get hasNothing() {
     return !this.rig.on && this.rig.state === "idle";
   }
 
-  /** The unit that Enter is about: that of the instruction. */
+  /** The unit of the instruction, which Enter starts. */
   unit = null;
 
-  /** A unit that waits and was scanned out of its turn: from now on the instruction is about it. */
+  /** Makes a waiting unit, scanned ahead of others, the unit of the instruction. */
   take(unit) {
     this.taken = unit;
     this.show(this.rig, this.standing);
   }
 
-  /** What Enter means here, or the button, `byHand`; nothing in the moment after it has changed, unless the unit was named. */
+  /** Carries out the instruction by Enter or button (`byHand`), unless it has just changed and the unit was not scanned. */
   press({ named = false, byHand = false } = {}) {
     if (!this.does) return null;
     if (this.isCalm && !named) return this.tell(TOO_SOON);
     return byHand && this.anyway ? this.anyway() : this.does();
   }
 
-  /** `standing`: whether the list has `several` rigs, is `closed`, which units wait, as a Set, and how many are what. */
+  /** `standing`: whether the batch has `several` rigs or is `closed`, the Set of `waiting` units, and the counts. */
   show(rig, standing) {
     this.rig = rig;
     this.standing = standing;
@@ -110,7 +112,7 @@ export class RigCard {
     this.abort.textContent = under_way ? "Abort" : "Cancel";
   }
 
-  /** What the run came to that ended last here. */
+  /** Shows the outcome of the last run. */
   #came({ on, last, last_says: says, nothing_measured: stopped }) {
     const word = stopped ? "stopped" : last.word;
     const { unit, run_id: run, why } = stopped ? on : last;
@@ -120,7 +122,7 @@ export class RigCard {
     fill(this.of, `${unit} `, runLink(run, "run "), reason && h("small", {}, reason));
   }
 
-  /** Says what to do; `isMeant`: whether Enter means this rig, which is marked where there are `others` it might. */
+  /** Shows the instruction; `isMeant`: whether Enter starts this rig, which is marked if `others` ask as well. */
   point(isMeant, others) {
     const text = this.instruction(isMeant ? "press Enter" : "scan it");
     const isNew = this.todo.textContent !== text;
@@ -130,21 +132,21 @@ export class RigCard {
     this.element.classList.toggle("meant", isMeant && others);
   }
 
-  /** Whether the unit is there, as its board and gravity have it. */
+  /** Shows the presence status of the unit, by its board and gravity. */
   #look(seen, last) {
-    const stays = seen?.state === "wrong" && seen.serial === last?.unit; // as it does until it is taken off
-    const isTaken = seen?.state === "wrong" && seen.serial === this.unit; // another one than was asked for, as good
-    const isNews = seen && !stays && (seen.state !== "there" || seen.serial); // a nameless unit may be any
+    const stays = seen?.state === "wrong" && seen.serial === last?.unit; // until it is removed
+    const isTaken = seen?.state === "wrong" && seen.serial === this.unit; // another waiting unit, accepted instead
+    const isNews = seen && !stays && (seen.state !== "there" || seen.serial); // without a serial number it may be any unit
     this.sight.hidden = !seen;
     this.sight.className = `sight ${isTaken ? "there" : isNews ? seen.state : ""}`;
     let says = seen ? `${SIGHTS[seen.state]} ${seen.says}` : "";
-    if (seen?.state === "there" && this.unit !== this.rig.on.unit) says = `${SIGHTS.there} A unit is there: see that it is ${this.unit}.`;
+    if (seen?.state === "there" && this.unit !== this.rig.on.unit) says = `${SIGHTS.there} Board detected. Check that the unit is ${this.unit}.`;
     if (stays) says = `${seen.serial} is still mounted.`;
-    if (isTaken) says = `${SIGHTS.there} ${seen.serial} is there, says its board; ${this.rig.on.unit} stays in the list.`;
+    if (isTaken) says = `${SIGHTS.there} The board reports ${seen.serial}; ${this.rig.on.unit} stays in the batch.`;
     this.sight.textContent === says || fill(this.sight, says);
   }
 
-  /** The service diagnoses and designs before such a run begins. */
+  /** Starts a follow-up run, which the service diagnoses and designs first. */
   async #followUp(turn) {
     this.leaving = new AbortController();
     this.show(this.rig, this.standing);
@@ -153,7 +155,7 @@ export class RigCard {
     this.leaving = null;
   }
 
-  /** From now on, for a moment, Enter starts nothing here, and no tap does anything below the stop buttons. */
+  /** Ignores Enter and taps for a moment; the stop buttons stay active. */
   #calm() {
     const set = (isCalm) => {
       this.isCalm = this.go.disabled = isCalm;
@@ -164,7 +166,7 @@ export class RigCard {
     this.timer = setTimeout(() => set(false), CALM_MS);
   }
 
-  /** The same, where a look has found fault: no board answers, and only the button starts it; or it is to be asked for twice. */
+  /** Adapts the instruction to a presence check that failed: only the button starts it, or it must be confirmed. */
   #seen({ on, seen }, now) {
     if (seen && !["askew", "looking"].includes(seen.state)) this.doubted = null;
     if (!now.does || !["absent", "askew"].includes(seen?.state)) return now;
@@ -174,23 +176,23 @@ export class RigCard {
     }
     if (on.state !== "waiting") return now;
     const does = () => {
-      const isToldAgain = this.doubted === now.unit;
-      this.doubted = isToldAgain ? null : now.unit;
-      if (isToldAgain) return now.does();
+      const isRepeated = this.doubted === now.unit;
+      this.doubted = isRepeated ? null : now.unit;
+      if (isRepeated) return now.does();
       this.#calm();
-      return this.tell(`Not started. ${seen.says} If that is right, start it once more.`);
+      return this.tell(`Not started. ${seen.says} If this is correct, start it again.`);
     };
     return { ...now, says: (key) => `Check ${now.unit}, ${key}`, does };
   }
 
-  /** What to do, by which key; the button, what both do, and the unit that they are about. */
+  /** The instruction, the label of the button, what both do, and their unit. */
   #now({ name, state, status, busy_with: busy, on, seen, last, designing, waiting_for: waits }, { closed, waiting, counts }) {
     if (on?.state === "running" && waits) {
       const angle = fixed(waits.mount_deg, Number.isInteger(waits.mount_deg) ? 0 : 2, "°");
-      return { says: (key) => `Turn ${on.unit} to ${angle}, ${key}`, button: "It sits: go on", does: () => this.ask("resume", on.run_id) };
+      return { says: (key) => `Clamp ${on.unit} at ${angle}, ${key}`, button: "Unit clamped, continue", does: () => this.ask("resume", on.run_id) };
     }
     if (on?.state === "running") return { says: () => `${on.unit} is ${status === "paused" ? "paused" : "being measured"}` };
-    if (closed && counts.left) return { says: () => "This list is closed" };
+    if (closed && counts.left) return { says: () => "This batch is closed" };
     if (!counts.left) return { says: () => `All measured: ${counts.good} done, ${counts.poor} failed` };
     if (busy) return { says: () => `Rig ${name} is busy` };
     if (state === "offline") return { says: () => `Rig ${name} is offline` };
@@ -198,14 +200,14 @@ export class RigCard {
     const start = (unit) => ({ button: `Start ${unit}`, does: () => this.begin({ rig: name, unit }), unit });
     if (on?.state === "follow_up") {
       if (this.leaving || designing) return { says: () => `Leave ${on.unit} mounted: its next run is being designed` };
-      const says = (key) => `Leave ${on.unit} mounted, ${key}: another run tells why`;
+      const says = (key) => `Leave ${on.unit} mounted, ${key}: another run identifies the cause`;
       return { ...start(on.unit), says, does: () => this.#followUp({ rig: name, unit: on.unit }) };
     }
-    const asked = this.taken && !seen?.serial ? this.taken : on.unit; // a board's own word counts for more
+    const asked = this.taken && !seen?.serial ? this.taken : on.unit; // the board's own serial number takes precedence
     const says = (key) => `Mount ${asked}, ${key}`;
     if (seen?.state !== "wrong") return { ...start(asked), says };
     if (seen.serial !== last?.unit && waiting.has(seen.serial)) {
-      // its board says so, and it waits as well: nobody need take it off again
+      // it waits as well and can stay mounted
       return { ...start(seen.serial), says: (key) => `${seen.serial} is mounted, ${key}` };
     }
     return { ...start(on.unit), says, does: () => this.tell(`Not started. ${seen.says}`, this) };

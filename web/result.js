@@ -1,9 +1,9 @@
-// A run's result: the figures with their errors, and beside them whether they are good.
+// A run's result: figures with standard errors, and the verdict.
 
-import { h, unitHref } from "./dom.js";
+import { figureList, h, paragraphs, unitHref } from "./dom.js";
 import { NOT_KNOWN, isKnown, plusMinus, range, significant } from "./format.js";
 
-// By the answer to the limits; without any, by what is left.
+// By the answer to the limits; without limits by the residual.
 const COLOURS = {
   pass: "good",
   conditional_pass: "fair",
@@ -14,11 +14,12 @@ const COLOURS = {
   more_than_noise: "poor",
 };
 
-/** The card's content for a run of a unit that was not clamped with its x along the stage's axis. */
+/** The card's content for a unit that was not clamped with its x axis along the stage axis. */
 export function noResultAbout(axis) {
   return [
     h("h2", {}, "Result"),
-    h("p", {}, `The unit's ${axis} lay along the stage's axis: bias and scale are of elevations about x. Its poses are for the joint solution.`),
+    h("p", {}, `The unit's ${axis} axis lay along the stage axis, but bias and scale refer to elevations about x.`),
+    h("p", {}, "Use these poses in a joint solution of stage and unit."),
   ];
 }
 
@@ -34,24 +35,20 @@ export function resultCard(run) {
     h(
       "div",
       { class: "columns outcome" },
-      h(
-        "dl",
-        { class: "figures" },
-        figures(run.result, run.plan?.mounts_deg).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))),
-      ),
+      figureList(figures(run.result, run.plan?.mounts_deg)),
       h(
         "div",
         { class: `verdict ${colour}`, "data-testid": "verdict" },
         h("h3", {}, "Verdict"),
         h("p", { class: "headline" }, headline),
-        sentences.map((sentence) => h("p", {}, sentence)),
+        paragraphs(sentences),
         reliable === false && counts && h("p", {}, h("a", { href: unitHref(run.unit) }, "Drafts of this unit")),
       ),
     ),
   ];
 }
 
-/** What stands before the verdict of a run that does not count, or not yet. */
+/** The headline above the verdict of a run that is voided or not completed. */
 function reservation(run) {
   if (run.voided) return ["Voided: not to be used."];
   return run.status === "completed" ? [] : ["Not finished: figures of the poses so far."];
@@ -59,7 +56,7 @@ function reservation(run) {
 
 function posesOf({ n_poses: poses }, mounts) {
   if (!(mounts?.length > 1)) return poses.toLocaleString();
-  return `${poses.toLocaleString()}, of the first mount (${mounts[0]}°)`;
+  return `${poses.toLocaleString()}, of the first mounting (${mounts[0]}°)`;
 }
 
 function figures(result, mounts) {
@@ -84,7 +81,7 @@ function figures(result, mounts) {
   return [...rows, ...bias, ["Gyro scale", plusMinus(gyro.scale, gyro.scale_std)]];
 }
 
-/** A figure with its own standard error, and apart from it what the stage is worth: no more poses shrink that. */
+/** A figure with its type A standard error, and the type B uncertainty of the stage, which more poses do not reduce. */
 function besideStage(value, std, ofStage, unit) {
   const own = plusMinus(value, std, unit);
   if (!isKnown(value) || !isKnown(ofStage)) return own;

@@ -1,15 +1,30 @@
-// A rig: the map that its elevations rest on, the unit it is checked by, and which runs are in doubt.
+// A rig: its reference, its check unit, and the runs in doubt.
 
 import { get, post, put, remove } from "./api.js";
-import { askConfirmation } from "./ask.js";
+import { confirmButton } from "./ask.js";
 import { Chart } from "./charts.js";
-import { errorLine, field, fill, h, headings, onSubmit, runLink, solveHref, statusPill, tableBox, unitLink } from "./dom.js";
+import {
+  dataTable,
+  errorLine,
+  field,
+  figureList,
+  fill,
+  h,
+  numberCell,
+  onSubmit,
+  runLink,
+  select,
+  solveHref,
+  statusPill,
+  tableRow,
+  unitLink,
+} from "./dom.js";
 import { fixed, isKnown, moment, plural, significant } from "./format.js";
 import { may } from "./me.js";
 import { preferRig } from "./stop.js";
 
 const STATES = { passed: "good", failed: "poor", not_known: "unknown" };
-const HEADLINES = { passed: "The rig passes.", failed: "The rig fails.", not_known: "Nothing can be said yet." };
+const HEADLINES = { passed: "The rig passes.", failed: "The rig fails.", not_known: "Not known yet." };
 const WORDS = { passed: "passed", failed: "failed", not_known: "not known" };
 const EVERY_DAYS = 30;
 
@@ -25,21 +40,21 @@ export async function rigView({ root, parts: [name], signal }) {
     fill(
       card,
       h("h2", { id: "check-title" }, "Check unit"),
-      check ? standing(check) : h("p", { class: "muted" }, "None: nothing tells whether this rig has changed."),
+      check ? standing(check) : h("p", { class: "muted" }, "None: a change of this rig would stay undetected."),
       form,
-      check && tableBox("Checks", checks(check)),
+      check && checks(check),
     );
     chart.element.hidden = !check;
     if (check) await chart.load(`/api/rigs/${encodeURIComponent(name)}/figures/check-unit`);
   };
   const reference = h("section", { class: "card", id: "reference", "aria-labelledby": "reference-title" });
-  const together = h("a", { href: solveHref({ rig: name }), id: "solve-rig" }, "Solve its stage and its units together");
+  const together = h("a", { href: solveHref({ rig: name }), id: "solve-rig" }, "Separate errors of stage and units");
   fill(root, h("h1", {}, `Rig ${name}`), reference, card, chart.element, h("p", {}, together));
   await Promise.all([read(), showReference(reference, name, signal)]);
 }
 
 const HOLDS = { holds: "good", moved: "poor", not_known: "unknown" };
-const HOLD_WORDS = { holds: "The map holds.", moved: "The map has moved.", not_known: "Nothing can be said yet." };
+const HOLD_WORDS = { holds: "The map is valid.", moved: "The map has changed.", not_known: "Not known yet." };
 
 async function showReference(card, name, signal) {
   const path = `/api/rigs/${encodeURIComponent(name)}/map`;
@@ -50,7 +65,7 @@ async function showReference(card, name, signal) {
     h("h2", { id: "reference-title" }, "Reference"),
     map
       ? mapInForce(map)
-      : h("p", { class: "muted" }, "The stage's certificate, as calrig.toml has it: no map of the stage is in force."),
+      : h("p", { class: "muted" }, "The stage's certificate in calrig.toml. No stage map is in force."),
     map?.solve && may("admin") && withdrawing(path, () => showReference(card, name, signal)),
   );
 }
@@ -58,7 +73,7 @@ async function showReference(card, name, signal) {
 function mapInForce(map) {
   const [low, high] = map.dial_deg;
   const figures = [
-    ["Rests on", map.file ? `file ${map.file}` : `solution ${map.solve.slice(0, 8)}`],
+    ["Source", map.file ? `file ${map.file}` : `solution ${map.solve.slice(0, 8)}`],
     ["Solved", moment(map.solved_at)],
     ["In force since", moment(map.put_at)],
     ["Standard uncertainty", significant(map.std_deg, 2, "°")],
@@ -78,24 +93,14 @@ function mapInForce(map) {
 }
 
 function withdrawing(path, read) {
-  const drop = h("button", { type: "button", id: "withdraw-map" }, "Withdraw the map…");
-  drop.addEventListener("click", async () => {
-    const question = {
-      title: "Withdraw the stage's map?",
-      text: "Runs from now on rest on the stage's certificate again. Those that are there stay as they are.",
-      action: "Withdraw",
-    };
-    if (await askConfirmation(question, () => post(path, { solve: null }))) await read();
-  });
+  const question = {
+    title: "Withdraw the stage map?",
+    text: "New runs use the stage's certificate again. Existing runs stay unchanged.",
+    action: "Withdraw",
+  };
+  const withdraw = () => post(path, { solve: null });
+  const drop = confirmButton("Withdraw the map…", question, withdraw, read, { id: "withdraw-map" });
   return h("div", { class: "buttons" }, drop);
-}
-
-function figureList(figures) {
-  return h(
-    "dl",
-    { class: "figures" },
-    figures.map(([title, value]) => h("div", {}, h("dt", {}, title), h("dd", {}, value))),
-  );
 }
 
 function standing(check) {
@@ -120,8 +125,7 @@ function standing(check) {
 }
 
 function naming(path, check, units, read) {
-  const serials = units.map(({ serial }) => h("option", { value: serial, selected: serial === check?.unit }, serial));
-  const unit = h("select", { id: "check-unit", required: true }, serials);
+  const unit = select({ id: "check-unit", required: true }, units.map(({ serial }) => serial), check?.unit);
   const days = h("input", {
     id: "check-days",
     type: "number",
@@ -131,8 +135,13 @@ function naming(path, check, units, read) {
     value: check?.interval_days ?? EVERY_DAYS,
   });
   const error = errorLine("check-error");
-  const save = h("button", { type: "submit", id: "name-check", class: check ? null : "primary" }, check ? "Change" : "Name it");
-  const drop = check && h("button", { type: "button", id: "drop-check" }, "Remove the check unit…");
+  const save = h("button", { type: "submit", id: "name-check", class: check ? null : "primary" }, check ? "Change" : "Save");
+  const question = {
+    title: "Remove the check unit?",
+    text: "Runs of this rig are no longer suspect because of a check. They stay unchanged.",
+    action: "Remove",
+  };
+  const drop = check && confirmButton("Remove the check unit…", question, () => remove(path), read, { id: "drop-check" });
   const form = h(
     "form",
     {},
@@ -144,30 +153,19 @@ function naming(path, check, units, read) {
     await put(path, { unit: unit.value, interval_days: Number(days.value) });
     await read();
   });
-  drop?.addEventListener("click", async () => {
-    const question = {
-      title: "Remove the check unit?",
-      text: "No run of this rig is suspect because of a check any more. The runs stay as they are.",
-      action: "Remove",
-    };
-    if (await askConfirmation(question, () => remove(path))) await read();
-  });
   return units.length > 0 && form;
 }
 
 function checks({ checks: all }) {
   const rows = all.toReversed().map((check) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, runLink(check.run_id)),
-      h("td", {}, moment(check.finished_at)),
-      h("td", { class: "number" }, significant(check.bias_deg, 4, "°")),
-      h("td", { class: "number" }, significant(check.scale, 6)),
-      h("td", { class: "number" }, isKnown(check.average) ? fixed(check.average, 2, "σ") : "–"),
+    tableRow(runLink(check.run_id), [
+      moment(check.finished_at),
+      numberCell(significant(check.bias_deg, 4, "°")),
+      numberCell(significant(check.scale, 6)),
+      numberCell(isKnown(check.average) ? fixed(check.average, 2, "σ") : "–"),
       h("td", { class: "plain" }, check.is_check ? statusPill(WORDS[check.verdict]) : h("span", { class: "muted" }, "history")),
-    ),
+    ]),
   );
-  const head = headings("Run", "Finished", "#Bias", "#Scale", "#Moving average", "Verdict");
-  return h("table", { id: "checks-table" }, head, h("tbody", {}, rows));
+  const names = ["Run", "Finished", "#Bias", "#Scale", "#Moving average", "Verdict"];
+  return dataTable("Checks", names, rows, { id: "checks-table" });
 }

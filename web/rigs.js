@@ -1,4 +1,4 @@
-// The rigs and what they are doing, looked at every few seconds for all who show them.
+// Polls the rigs and their states for all views that show them.
 
 import { get } from "./api.js";
 
@@ -8,40 +8,36 @@ const listeners = new Set();
 let latest = null;
 let timer;
 
-/** Calls `listener(rigs)` with what is known and whenever it has changed, until `signal` aborts. */
+/** Calls `listener(rigs)` with the latest rigs and after every change, until `signal` aborts. */
 export function onRigs(listener, signal) {
   listeners.add(listener);
   signal?.addEventListener("abort", () => listeners.delete(listener));
   if (latest) listener(latest);
 }
 
-/** Looks at once, then every few seconds while the page is seen, until the next login. */
+/** Polls at once, then periodically while the page is visible, until a login is needed. */
 export async function watchRigs() {
   clearTimeout(timer);
   try {
-    if (!document.hidden || !latest) await look();
+    if (!document.hidden || !latest) take(await get("/api/rigs"));
   } catch (error) {
-    if (error.status === undefined) throw error; // the banner or the login tells the rest
+    if (error.status === undefined) throw error; // the banner or the login reports it
     if (error.status === 401) return;
   }
   clearTimeout(timer);
   timer = setTimeout(watchRigs, REFRESH_MS);
 }
 
-/** Somebody has looked already: nobody needs to for a while. */
+/** Takes rigs that a view has read, and delays the next poll. */
 export function rigsAre(rigs) {
   clearTimeout(timer);
   timer = setTimeout(watchRigs, REFRESH_MS);
   take(rigs);
 }
 
-/** What tells whether rigs have changed: that their bench was seen again is no news. */
+/** A key that changes with the rigs, but not with the time at which their bench was last seen. */
 export function standing(rigs) {
   return JSON.stringify(rigs.map((rig) => ({ ...rig, last_seen_at: null })));
-}
-
-async function look() {
-  take(await get("/api/rigs"));
 }
 
 function take(rigs) {

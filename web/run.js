@@ -1,6 +1,6 @@
-// One run: live while it goes on, its result when it has ended.
+// One run: live while it is in progress, with its result afterwards.
 
-import { ApiError, get, post } from "./api.js";
+import { get, post, serviceError } from "./api.js";
 import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
@@ -18,7 +18,7 @@ import { follow } from "./stream.js";
 import { Timeline } from "./timeline.js";
 
 const RESIDUAL_EVERY_MS = 1000;
-const NO_TIMES = "Nothing was read yet, or it is not known when: poses of a file without time_s.";
+const NO_TIMES = "No readings with known times: none yet, or poses of a file without time_s.";
 
 export async function runView({ root, parts: [id], signal }) {
   const path = `/api/runs/${encodeURIComponent(id)}`;
@@ -33,7 +33,7 @@ class RunPage {
     this.signal = signal;
     this.header = h("div", { class: "run-head" });
     this.error = errorLine("run-error");
-    this.place = placeField(); // one for all drawings: what is typed into it outlives each of them
+    this.place = placeField(); // one for all redraws, which keep what was typed
     this.spoken = h("p", { class: "for-screen-readers", "aria-live": "polite" });
     const announce = (text) => (this.spoken.textContent = text);
     this.mismatches = h("section", { id: "mismatches", class: "card", role: "alert", hidden: true });
@@ -120,7 +120,7 @@ class RunPage {
     window.addEventListener("calrig:back", () => this.#caughtUp(stream, timeline), { signal: this.signal });
   }
 
-  /** After an end, or after the service was away: what the run is now, and no stream where it has ended. */
+  /** Reads the run after its end, or after a lost connection; closes the stream if it has ended. */
   async #caughtUp(stream, timeline) {
     try {
       await this.#reread();
@@ -166,7 +166,7 @@ class RunPage {
     fill(this.more, provenanceDetails(run));
   }
 
-  /** What the run waits for a person to do; the card comes when it is needed first. */
+  /** Shows what the run waits for the operator to do; the card is loaded when first needed. */
   async #wait(asked) {
     this.live.waits(Boolean(asked));
     try {
@@ -215,44 +215,41 @@ class RunPage {
     }
   }
 
-  /** What the service refused or could not answer; a fault of this page's own goes to the console instead. */
   #say(error) {
-    if (this.signal.aborted) return;
-    if (!(error instanceof ApiError)) throw error;
-    this.error.say(error);
+    this.error.say(serviceError(error, this.signal));
   }
 
   async #ask(verb) {
     this.error.say(null);
     try {
-      await post(`${this.path}/${verb}`); // the stream tells what came of it, later or sooner than this answer
+      await post(`${this.path}/${verb}`); // the stream reports the result, before or after this answer
       this.live.hold(verb === "pause");
     } catch (error) {
       this.#say(error);
     }
   }
 
-  /** Resumes an interrupted run, or one that is held, and follows it; or ends it. */
+  /** Resumes an interrupted or held run and follows it, or ends it. */
   async #goOn(verb) {
     if (this.isGoingOn) return;
     this.error.say(null);
-    const told = document.getElementById("going-on");
-    if (told) told.textContent = verb === "resume" ? "Looking for rig, board and stage as they were…" : "";
+    const state = document.getElementById("going-on");
+    if (state) state.textContent = verb === "resume" ? "Checking rig, board and stage…" : "";
     const { ended } = this;
     const stage_at_deg = this.place.value();
-    this.place.put(null); // the stage moves: what was true of this resumption is not of the next
+    this.place.put(null); // the stage moves, so the position is valid for this resumption only
     this.isGoingOn = true;
     try {
       const body = verb === "resume" && hasNoHoming(this.run) ? { stage_at_deg } : {};
       this.#show(await post(`${this.path}/${verb}`, body));
     } catch (error) {
-      if (told) told.textContent = "";
+      if (state) state.textContent = "";
       if (this.place.value() === null) this.place.put(stage_at_deg);
       return this.#say(error);
     } finally {
       this.isGoingOn = false;
     }
-    if (ended) await this.#follow(); // one that waited is followed already
+    if (ended) await this.#follow(); // a held run is followed already
   }
 
   async #follow() {
@@ -263,7 +260,7 @@ class RunPage {
     }
   }
 
-  /** The Escape key stops the stage of a run that goes on, unless it closes a dialog. */
+  /** The Escape key stops the stage of a run in progress, unless it closes a dialog. */
   #escape(event) {
     const mayMove = !this.ended || this.isGoingOn;
     if (event.key !== "Escape" || !mayMove || document.querySelector("dialog[open]")) return;

@@ -1,6 +1,6 @@
-// What the list of runs is narrowed to. The address keeps it, for a reload, a link, and the way back.
+// Filters of the list of runs. The address stores them, for reload, links and history.
 
-import { field, h } from "./dom.js";
+import { field, h, select } from "./dom.js";
 import { dayEnd, dayStart } from "./format.js";
 
 const CHOICES = {
@@ -13,25 +13,21 @@ const CHOICES = {
     ["fail", "fail"],
     ["undecided", "undecided"],
     ["no_limits", "no limits"],
-    ["noise", "only noise left"],
-    ["more_than_noise", "more than noise left"],
+    ["noise", "residual within noise"],
+    ["more_than_noise", "residual above noise"],
   ],
 };
 const TYPING_MS = 250;
 
-/** A verdict in as few words as it is sought by. */
+/** A verdict in the words of the filter. */
 export function verdictWords(verdict) {
-  const said = verdict.answer === "no_limits" ? (verdict.left ?? verdict.answer) : verdict.answer;
-  return CHOICES.verdict.find(([value]) => value === said)[1];
+  const key = verdict.answer === "no_limits" ? (verdict.left ?? verdict.answer) : verdict.answer;
+  return CHOICES.verdict.find(([value]) => value === key)[1];
 }
 
-/** `element`, `asked()` as the API's query, `isAny()`; `changed()` is called when somebody wants others. */
+/** `element`, `asked()` as the API's query, `isAny()`; `changed()` is called when a filter changes. */
 export function runFilters(rigs, query, changed, signal) {
-  const select = (id, key, choices) => {
-    const known = choices.map((one) => (Array.isArray(one) ? one : [one, one]));
-    const options = known.map(([value, text]) => h("option", { value, selected: value === query.get(key) }, text));
-    return h("select", { id }, h("option", { value: "" }, "any"), options);
-  };
+  const choice = (id, key, options) => select({ id }, [["", "any"], ...options], query.get(key));
   const day = (id, key) => h("input", { id, type: "date", value: query.get(key) });
   const text = h("input", {
     id: "filter-text",
@@ -44,10 +40,10 @@ export function runFilters(rigs, query, changed, signal) {
   });
   const inputs = {
     q: text,
-    on: select("filter-rig", "on", rigs.map(({ name }) => name)),
-    status: select("filter-status", "status", CHOICES.status),
-    verdict: select("filter-verdict", "verdict", CHOICES.verdict),
-    kind: select("filter-kind", "kind", CHOICES.kind),
+    on: choice("filter-rig", "on", rigs.map(({ name }) => name)),
+    status: choice("filter-status", "status", CHOICES.status),
+    verdict: choice("filter-verdict", "verdict", CHOICES.verdict),
+    kind: choice("filter-kind", "kind", CHOICES.kind),
     from: day("filter-from", "from"),
     to: day("filter-to", "to"),
   };
@@ -60,32 +56,26 @@ export function runFilters(rigs, query, changed, signal) {
     from: "From",
     to: "To",
   };
-  const said = () => Object.entries(inputs).flatMap(([key, { value }]) => (value.trim() ? [[key, value.trim()]] : []));
+  const values = () => Object.entries(inputs).flatMap(([key, { value }]) => (value.trim() ? [[key, value.trim()]] : []));
 
-  /** In the address, beside what else is there, and without a step back for each letter. */
+  /** Stores the filters in the address, without a history entry for each letter. */
   function keep() {
     const [path, old] = (location.hash || "#/").split("?", 2);
     const all = new URLSearchParams(old);
     for (const key of Object.keys(inputs)) all.delete(key);
-    for (const [key, value] of said()) all.set(key, value);
+    for (const [key, value] of values()) all.set(key, value);
     history.replaceState(history.state, "", path + (all.size ? `?${all}` : ""));
   }
 
   function asked() {
-    const found = Object.fromEntries(said());
-    const { on: rig, from, to, ...rest } = found;
-    return {
-      ...rest,
-      ...(rig && { rig }),
-      ...(from && { from: dayStart(from) }),
-      ...(to && { to: dayEnd(to) }),
-    };
+    const { on: rig, from, to, ...rest } = Object.fromEntries(values());
+    return { ...rest, ...(rig && { rig }), ...(from && { from: dayStart(from) }), ...(to && { to: dayEnd(to) }) };
   }
 
   let timer;
   const element = h(
     "form",
-    { class: "filters", role: "search", "aria-label": "Which runs are listed" },
+    { class: "filters", role: "search", "aria-label": "Filter runs" },
     Object.entries(inputs).map(([key, input]) => field(input.id, titles[key], input)),
   );
   element.addEventListener("submit", (event) => event.preventDefault());
@@ -96,5 +86,5 @@ export function runFilters(rigs, query, changed, signal) {
     else changed();
   });
   signal.addEventListener("abort", () => clearTimeout(timer));
-  return { element, asked, isAny: () => said().length === 0 };
+  return { element, asked, isAny: () => values().length === 0 };
 }

@@ -1,4 +1,4 @@
-// What a run is called, its status, and its downloads.
+// The head of a run: name, status, notes, downloads and data faults.
 
 import { h, rigHref, runLink, runName, solveHref, statusPill, unitHref, unitLink } from "./dom.js";
 import { moment } from "./format.js";
@@ -15,8 +15,7 @@ export function heading(run) {
       { class: "facts" },
       statusPill(run.status, { id: "status" }),
       !run.follows && kindTag(run),
-      run.follows &&
-        h("span", { id: "follows" }, "follow-up of ", runLink(run.follows, "run "), asked(run)),
+      run.follows && h("span", { id: "follows" }, "follow-up of ", runLink(run.follows, "run "), asked(run)),
       h("span", {}, run.rig ? `rig ${run.rig}` : "no rig"),
       run.operator && h("span", {}, `by ${run.operator}`),
       h("span", {}, run.finished_at ? "finished " : "created ", moment(run.finished_at ?? run.created_at)),
@@ -33,17 +32,11 @@ export function heading(run) {
         h("a", { href: rigHref(run.rig) }, `Checks of rig ${run.rig}`),
       ),
     run.voided &&
-      h(
-        "p",
-        { class: "void-reason", id: "void-reason" },
-        "Voided ",
-        moment(run.voided.at),
-        `: ${run.voided.reason}`,
-      ),
+      h("p", { class: "void-reason", id: "void-reason" }, "Voided ", moment(run.voided.at), `: ${run.voided.reason}`),
   );
 }
 
-/** What a follow-up is there to answer. */
+/** The candidates that a follow-up is to distinguish. */
 function asked({ provenance }) {
   const suspects = provenance.follow_up?.separates ?? [];
   return suspects.length > 0 && `: ${suspects.map((name) => name.replaceAll("_", " ")).join(" or ")}?`;
@@ -57,8 +50,8 @@ export function downloads(run, path) {
     link(`${path}/poses?format=csv`, "Poses (CSV)"),
     run.plan && link(`${path}/samples`, "Raw samples (CSV)"),
     run.plan && link(`${path}/samples?format=npz`, "Raw samples (NPZ)"),
-    h("a", { href: unitHref(run.unit) }, "Unit's history and calibration"),
-    h("a", { href: solveHref({ rig: run.rig, unit: run.unit }) }, "Solve together with its stage"),
+    h("a", { href: unitHref(run.unit) }, "History and calibration of this unit"),
+    h("a", { href: solveHref({ rig: run.rig, unit: run.unit }) }, "Separate errors of stage and unit"),
   );
 }
 

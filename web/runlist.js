@@ -1,14 +1,14 @@
-// Runs, newest first, and those of them that somebody looks for.
+// The list of runs, newest first, with filters.
 
 import { getRuns } from "./api.js";
-import { errorLine, fill, h, headings, runLink, statusPill, suspectTag, tableBox, unitLink } from "./dom.js";
+import { dataTable, errorLine, fill, h, numberCell, runLink, statusPill, suspectTag, unitLink } from "./dom.js";
 import { moment, plusMinus, significant } from "./format.js";
 import { runFilters, verdictWords } from "./runfilters.js";
 
 const PAGE = 20;
 const KINDS = { sweep: "sweep", verification: "verification", static: "static log" };
 
-/** What a run is, where it is no calibration by dwells on a rig. */
+/** The kind of a run that is not a calibration by dwells on a rig. */
 export function kindTag({ plan, follows }) {
   const kind = follows ? "follow-up" : plan ? KINDS[plan.kind] : "import";
   return kind && h("span", { class: "tag" }, kind);
@@ -16,7 +16,6 @@ export function kindTag({ plan, follows }) {
 
 /** One run as a table row; a voided one is struck through and says why. */
 export function runRow(run, { withUnit = true } = {}) {
-  const result = run.result ?? {};
   return h(
     "tr",
     { class: run.voided && "voided", "data-run": run.id },
@@ -32,41 +31,41 @@ export function runRow(run, { withUnit = true } = {}) {
       run.verdict && h("small", { class: `under ${run.verdict.answer}` }, verdictWords(run.verdict)),
     ),
     h("td", {}, moment(run.finished_at ?? run.started_at ?? run.created_at)),
-    h("td", { class: "number" }, run.result ? plusMinus(result.bias_deg, result.bias_std_deg, "°") : "–"),
-    h("td", { class: "number" }, run.result ? plusMinus(result.scale, result.scale_std) : "–"),
-    h("td", { class: "number" }, run.result ? significant(result.rms_raw_deg, 3, "°") : "–"),
-    h("td", { class: "number" }, run.result ? significant(result.rms_calibrated_deg, 3, "°") : "–"),
+    figures(run.result).map(numberCell),
   );
 }
 
-export function runHeadings({ withUnit = true } = {}) {
-  const names = [
-    "Run",
-    withUnit && "Unit",
-    "Rig",
-    "Status, verdict",
-    "When",
-    "#Bias",
-    "#Scale",
-    "#RMS error, raw",
-    "#RMS error, calibrated",
+const FIGURES = ["#Bias", "#Scale", "#RMS error, raw", "#RMS error, calibrated"];
+
+/** The values under `FIGURES`. */
+function figures(result) {
+  if (!result) return FIGURES.map(() => "–");
+  return [
+    plusMinus(result.bias_deg, result.bias_std_deg, "°"),
+    plusMinus(result.scale, result.scale_std),
+    significant(result.rms_raw_deg, 3, "°"),
+    significant(result.rms_calibrated_deg, 3, "°"),
   ];
-  return headings(...names.filter(Boolean));
+}
+
+/** The headings of such rows. */
+export function runHeadings({ withUnit = true } = {}) {
+  return ["Run", ...(withUnit ? ["Unit"] : []), "Rig", "Status, verdict", "When", ...FIGURES];
 }
 
 /** The list with its filters; `refresh()` fetches the first page again. */
 export function runList(rigs, query, signal) {
   const filters = runFilters(rigs, query, () => load(null), signal);
   const body = h("tbody");
-  const told = h("p", { id: "runs-told", class: "muted", role: "status" });
+  const state = h("p", { id: "runs-told", class: "muted", role: "status" });
   const more = h("button", { type: "button", hidden: true }, "Show older runs");
-  const stop = h("button", { type: "button", id: "runs-stop", hidden: true, on: { click: () => (isStopped = true) } }, "Stop looking");
+  const stop = h("button", { type: "button", id: "runs-stop", hidden: true, on: { click: () => (isStopped = true) } }, "Stop searching");
   const error = errorLine("runs-error");
   let cursor = null;
   let asked = 0;
   let isStopped = false;
 
-  /** A verdict is looked for some runs at a time: on until there is a page of them, no older run, or somebody's stop. */
+  /** Loads a page. Verdicts are evaluated in portions, until the page is full, no run is left, or the user stops. */
   async function load(from) {
     const mine = ++asked;
     const wanted = filters.asked();
@@ -76,37 +75,37 @@ export function runList(rigs, query, signal) {
     isStopped = false;
     more.hidden = true;
     stop.hidden = true;
-    fill(told, wanted.verdict && "Judging runs, the newest first…");
+    fill(state, wanted.verdict && "Evaluating verdicts, newest runs first…");
     let seen;
     try {
       do {
         const left = PAGE - body.childElementCount + before;
         seen = await getRuns(new URLSearchParams({ ...wanted, limit: left, ...(cursor && { cursor }) }), signal);
-        if (mine !== asked) return; // a later question has been asked meanwhile
+        if (mine !== asked) return; // superseded by a later request
         body.append(...seen.items.map((run) => runRow(run)));
         cursor = seen.next_cursor;
         stop.hidden = false;
-        fill(told, "Judging older and older runs, back to ", moment(seen.backTo), ".");
+        fill(state, "Evaluating verdicts of older runs, back to ", moment(seen.backTo), ".");
       } while (cursor && !isStopped && body.childElementCount - before < PAGE);
       stop.hidden = true;
       more.hidden = !cursor;
-      fill(told, outcome(seen));
+      fill(state, outcome(seen));
       error.say(null);
     } catch (problem) {
       if (signal.aborted || mine !== asked) return;
       stop.hidden = true;
-      told.textContent = "";
+      state.textContent = "";
       error.say(problem);
     }
   }
 
   function outcome({ backTo }) {
-    if (cursor && isStopped) return ["Looked no further back than ", moment(backTo), "."];
+    if (cursor && isStopped) return ["Stopped at runs of ", moment(backTo), "."];
     if (body.childElementCount) return null;
     return filters.isAny() ? "No runs yet." : "No run matches.";
   }
 
-  /** The first page anew, unless somebody waits for it: what is looked for far back would never be found. */
+  /** Reloads the first page, unless a search is in progress, which would never reach older runs. */
   const refresh = () => stop.hidden && load(null);
   more.addEventListener("click", () => load(cursor));
   const element = h(
@@ -115,8 +114,8 @@ export function runList(rigs, query, signal) {
     h("h2", { id: "runs-title" }, "Runs"),
     filters.element,
     error.element,
-    tableBox("Runs", h("table", { id: "runs-table" }, runHeadings(), body)),
-    told,
+    dataTable("Runs", runHeadings(), body, { id: "runs-table" }),
+    state,
     stop,
     more,
   );

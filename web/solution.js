@@ -1,15 +1,29 @@
-// A joint solution: the stage's map before and after, mounts, units, what it cannot tell and what would help.
+// A joint solution: stage map, mounts and units, with what is not separable and the recommended mounts.
 
 import { get, post } from "./api.js";
-import { askConfirmation } from "./ask.js";
+import { confirmButton } from "./ask.js";
 import { Chart } from "./charts.js";
-import { fill, h, headings, rigHref, runLink, solveHref, tableBox, unitLink } from "./dom.js";
+import {
+  dataTable,
+  figureList,
+  fill,
+  h,
+  headings,
+  numberCell,
+  rigHref,
+  runLink,
+  solveHref,
+  tableBox,
+  tableRow,
+  unitLink,
+  warningBox,
+} from "./dom.js";
 import { fixed, isKnown, moment, plural, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
-const NAMED = 12; // of the runs
-const SAID = 5; // of the units
-/** What parameters of CONTRACT section 8 are called, and their units. */
+const MOST_RUNS = 12; // listed in the head
+const MOST_UNITS = 5; // listed in the verdict
+/** Titles and units of the parameters of a unit. */
 const PARAMETERS = {
   y_mg: ["Offset of y", "mg"],
   z_mg: ["Offset of z", "mg"],
@@ -26,7 +40,7 @@ const PARAMETERS = {
   deg_per_deg3: ["Cubic term of the angle", "°/°³"],
 };
 const TITLES = {
-  map: "Map of the stage, two standard errors to each side",
+  map: "Stage map ± two standard errors",
   before: "Residual angle without the map",
   after: "Residual angle with the map",
 };
@@ -34,7 +48,7 @@ const TITLES = {
 export async function solutionView({ root, parts: [id], signal }) {
   const path = `/api/solve/${encodeURIComponent(id)}`;
   const found = await get(path, signal);
-  const drawn = isWhole(found) ? [["map", TITLES.map]] : Object.entries(TITLES); // of whole units no poses are drawn
+  const drawn = isWhole(found) ? [["map", TITLES.map]] : Object.entries(TITLES); // three-axis solutions have no charts of poses
   const charts = drawn.map(([name, title]) => [name, new Chart(`solve-${name}`, title, { signal })]);
   const [[, map], ...left] = charts;
   fill(
@@ -42,8 +56,8 @@ export async function solutionView({ root, parts: [id], signal }) {
     heading(found),
     h(
       "section",
-      { class: "card solution", "aria-labelledby": "told-title" },
-      h("h2", { id: "told-title" }, "Separation of stage and units"),
+      { class: "card solution", "aria-labelledby": "separation-title" },
+      h("h2", { id: "separation-title" }, "Separation of stage and units"),
       verdict(found),
       advice(found),
       figures(found),
@@ -52,19 +66,16 @@ export async function solutionView({ root, parts: [id], signal }) {
     ),
     map.element,
     left.length > 0 && h("div", { class: "charts" }, left.map(([, chart]) => chart.element)),
-    card("Mounts", tableBox("Mounts", mountTable(found.mounts))),
-    card("Orders of the map", tableBox("Orders of the map", orderTable(found.stage))),
+    card("Mounts", mountTable(found.mounts)),
+    card("Orders of the map", orderTable(found.stage)),
     found.units.map((unit) => unitCard(unit, found, path)),
   );
   await Promise.all(charts.map(([name, chart]) => chart.load(`${path}/figures/${name}`)));
 }
 
 const download = (href, name, text) => h("a", { href, download: name }, text);
-const cell = (text) => h("td", { class: "number" }, text);
 const card = (title, ...content) => h("section", { class: "card" }, h("h2", {}, title), content);
 const short = (value) => fixed(value, 3).replace(/\.?0+$/, "");
-const pairs = (rows) =>
-  h("dl", { class: "figures" }, rows.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
 
 function heading({ id, created_at: at, by, rig, runs, linear, periods_deg: periods }) {
   return h(
@@ -84,13 +95,13 @@ function heading({ id, created_at: at, by, rig, runs, linear, periods_deg: perio
       "p",
       { class: "facts" },
       `${plural(runs.length, "run")}: `,
-      runs.slice(0, NAMED).map((run) => runLink(run)),
-      runs.length > NAMED && `and ${runs.length - NAMED} more`,
+      runs.slice(0, MOST_RUNS).map((run) => runLink(run)),
+      runs.length > MOST_RUNS && `and ${runs.length - MOST_RUNS} more`,
     ),
   );
 }
 
-/** Whether units were clamped by several faces. */
+/** Whether the solution is of three axes: units were clamped on several faces. */
 const isWhole = ({ mounts }) => mounts.some(({ mount_axis: axis = "x" }) => !axis.endsWith("x"));
 
 /** Whether held-out poses are predicted better with the map than without. */
@@ -109,26 +120,20 @@ function verdict(found) {
   const known = units.map(
     (unit) => `unit ${unit.unit}: ± ${significant(worst(unit), 2, "°")} at most, ${range(...unit.range_deg, 0, "°")}`,
   );
-  const more = units.length > SAID ? `; ${plural(units.length - SAID, "more unit")} below` : "";
+  const more = units.length > MOST_UNITS ? `; ${plural(units.length - MOST_UNITS, "more unit")} below` : "";
   return [
     h(
       "div",
       { class: `verdict ${separable && isBetter(found) ? "good" : "fair"}`, "data-testid": "solve-verdict" },
       h("p", { class: "headline" }, headline(found)),
-      h("p", {}, `Standard error of a calibrated elevation: ${known.slice(0, SAID).join("; ")}${more}.`),
+      h("p", {}, `Standard error of a calibrated elevation: ${known.slice(0, MOST_UNITS).join("; ")}${more}.`),
       h("p", {}, `Standard deviation of one pose: ${significant(noise.std_deg, 2, "°")}.`),
     ),
-    warnings.length > 0 &&
-      h(
-        "div",
-        { class: "cautions", "data-testid": "solve-warnings" },
-        h("h3", {}, "Warnings"),
-        h("ul", {}, warnings.map((sentence) => h("li", {}, sentence))),
-      ),
+    warningBox(warnings, "solve-warnings"),
   ];
 }
 
-/** The mounts that would help, and the plan that has them. */
+/** The recommended mounts, and a link to a plan with them. */
 function advice({ advice: advised, rig, units }) {
   if (!advised) return null;
   const plan = new URLSearchParams({ mounts: advised.mounts_deg.map((deg) => Number(deg.toFixed(2))).join(",") });
@@ -145,36 +150,32 @@ function advice({ advice: advised, rig, units }) {
 
 function figures({ before, final, noise, stage, held_out: heldOut, level_known: levelKnown, level_std_deg: level }) {
   const { error_deg: error } = stage.map;
-  return pairs([
+  return figureList([
     ["Held-out RMS, without the map", significant(before.held_out_rms_deg, 3, "°")],
     ["Held-out RMS, with the map", significant(final.held_out_rms_deg, 3, "°")],
     ["Held out", heldOut.how],
     ["Noise of a pose", significant(noise.std_deg, 2, "°")],
     ["Map", `${fixed(Math.min(...error), 3)} to ${fixed(Math.max(...error), 3, "°")}`],
-    ["Backlash", stage.backlash_deg ? plusMinus(stage.backlash_deg.value, stage.backlash_deg.std, "°") : "not solved for"],
+    ["Backlash", stage.backlash_deg ? plusMinus(stage.backlash_deg.value, stage.backlash_deg.std, "°") : "not fitted"],
     ["Level", levelKnown ? `known to ${significant(level, 2, "°")}` : "not known: elevations are relative to their mean"],
   ]);
 }
 
-/** Offered where stage and units are separable: a map of anything less would bias whatever it is used for. */
+/** The button that puts the map in force; only if stage and units are separable, as any other map would bias its users. */
 function inForce(found) {
   const { id, separable, rig } = found;
   if (!separable || !rig || !may("admin")) return null;
   const state = h("p", { id: "map-state", class: "muted", role: "status", "aria-live": "polite" });
-  const button = h("button", { type: "button", id: "use-map" }, "Use this map for the rig…");
   const question = {
     title: `Use this map for rig ${rig}?`,
     text:
-      "Runs from now on have it as their reference in place of what the stage's maker says. Earlier ones stay." +
-      (isBetter(found) ? "" : " Held-out poses are predicted no better with it: something else moved between these runs."),
+      "New runs use it as their reference instead of the stage's certificate. Earlier runs stay unchanged." +
+      (isBetter(found) ? "" : " It does not predict held-out poses better: something else changed between these runs."),
     action: "Use the map",
   };
-  button.addEventListener("click", async () => {
-    state.textContent = "";
-    if (await askConfirmation(question, () => putInForce(rig, id)))
-      state.textContent = `It is the map of rig ${rig} from now on.`;
-  });
-  return h("div", { class: "buttons" }, button, state);
+  const done = () => (state.textContent = `Map in force for rig ${rig}.`);
+  const put = () => putInForce(rig, id);
+  return h("div", { class: "buttons" }, confirmButton("Use this map for the rig…", question, put, done, { id: "use-map" }), state);
 }
 
 async function putInForce(rig, id) {
@@ -182,7 +183,7 @@ async function putInForce(rig, id) {
     await post(`/api/rigs/${encodeURIComponent(rig)}/map`, { solve: id });
   } catch (error) {
     if (![404, 405].includes(error.status)) throw error;
-    error.message = `This service keeps no maps of rigs, or no rig ${rig}: download the map, and name it in calrig.toml.`;
+    error.message = `This service has no rig ${rig}, or stores no maps: download the map and name it in calrig.toml.`;
     throw error;
   }
 }
@@ -190,52 +191,41 @@ async function putInForce(rig, id) {
 function mountTable(mounts) {
   const rows = mounts.map(({ mount, unit, mount_axis: axis = "x", mount_deg: stated, angle_deg: found }) => {
     const apart = ((((found.value - stated + 180) % 360) + 360) % 360) - 180;
-    return h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, mount),
-      h("td", {}, unitLink(unit)),
-      h("td", {}, axis),
-      cell(`${short(stated)}°`),
-      cell(plusMinus(stated + apart, found.std, "°")),
-      cell(fixed(apart, 3, "°")),
-    );
+    const angles = [`${short(stated)}°`, plusMinus(stated + apart, found.std, "°"), fixed(apart, 3, "°")];
+    return tableRow(mount, [unitLink(unit), axis, ...angles.map(numberCell)]);
   });
-  const head = headings("Mount", "Unit", "Axis along the stage's", "#Stated", "#Found", "#Difference");
-  return h("table", { id: "mounts" }, head, h("tbody", {}, rows));
+  const names = ["Mount", "Unit", "Unit axis", "#Stated", "#Fitted", "#Difference"];
+  return dataTable("Mounts", names, rows, { id: "mounts" });
 }
 
 function orderTable({ harmonics }) {
   const rows = harmonics.map(({ order, amplitude_deg: amplitude, phase_deg: phase, std_deg: std, separable }) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, short(order)),
-      cell(plusMinus(amplitude, std, "°")),
-      cell(fixed(phase, 1, "°")),
-      h("td", {}, separable ? "yes" : "no: from the units, or other orders"),
-    ),
+    tableRow(short(order), [
+      numberCell(plusMinus(amplitude, std, "°")),
+      numberCell(fixed(phase, 1, "°")),
+      separable ? "yes" : "no: confounded with units or other orders",
+    ]),
   );
-  const head = headings("Order", "#Amplitude", "#Phase", "Separable");
-  return h("table", { id: "orders" }, head, h("tbody", {}, rows));
+  const names = ["Order", "#Amplitude", "#Phase", "Separable"];
+  return dataTable("Orders of the map", names, rows, { id: "orders" });
 }
 
 function unitCard(found, { id, separable, units }, path) {
   const { unit, parameters, range_deg: bounds, elevation_std_deg: worth, accelerometer, gyro } = found;
   const [least, most] = [Math.min(...worth.std_deg), Math.max(...worth.std_deg)];
-  const said = [
+  const rows = [
     ["Standard error of an elevation", `${significant(least, 2)} to ${significant(most, 2, "°")}`],
-    ["Over", range(...bounds, 0, "°")],
-    ["Of", isKnown(found.level?.deg.std) ? "elevation" : "elevation less its mean over the range"],
+    ["Range", range(...bounds, 0, "°")],
+    ["Quantity", isKnown(found.level?.deg.std) ? "elevation" : "elevation relative to its mean"],
   ];
-  if (found.level) said.push(["Sensor in its case", plusMinus(found.level.deg.value, found.level.deg.std, "°")]);
-  const table = tableBox(`Parameters of unit ${unit}`, parameterTable(parameters));
+  if (found.level) rows.push(["Level, sensor to case", plusMinus(found.level.deg.value, found.level.deg.std, "°")]);
+  const table = parameterTable(unit, parameters);
   const file = download(`${path}/units/${encodeURIComponent(unit)}`, `${unit}.json`, "Calibration (JSON)");
   return h(
     "section",
     { class: "card solution", "data-unit": unit },
     h("h2", {}, "Unit ", unitLink(unit)),
-    pairs(said),
+    figureList(rows),
     units.length > 3 ? h("details", {}, h("summary", {}, "Parameters"), table) : table,
     accelerometer && axes(`Accelerometer of ${unit}`, "Bias, mg", accelerometer.bias_g.map((g) => 1000 * g), accelerometer.matrix),
     gyro && axes(`Gyro of ${unit}`, "Bias, °/s", gyro.bias_dps, gyro.matrix),
@@ -244,50 +234,36 @@ function unitCard(found, { id, separable, units }, path) {
   );
 }
 
-/** Offers a unit's calibration by this solution as a revision, which has a certificate like any other. */
+/** The button that drafts a revision of the unit's calibration from this solution. */
 function drafting(unit, id, separable) {
   if (!separable || !may("operator")) return null;
   const state = h("p", { class: "muted", role: "status", "aria-live": "polite" });
-  const button = h("button", { type: "button" }, `Draft a calibration of ${unit}…`);
   const question = {
     title: `Draft a calibration of unit ${unit} by this solution?`,
-    text: "It becomes the unit's next revision, in force at once where its rig releases drafts by itself.",
-    action: "Draft it",
+    text: "It becomes the unit's next revision, in force at once if the rig releases automatically.",
+    action: "Draft",
   };
-  button.addEventListener("click", async () => {
-    let made;
-    const draft = async () => (made = await post(`/api/units/${encodeURIComponent(unit)}/calibrations`, { solve: id }));
-    if (await askConfirmation(question, draft))
-      fill(state, `Revision ${made.revision} (${made.status.replaceAll("_", " ")}) of `, unitLink(unit), ".");
-  });
-  return h("div", { class: "buttons" }, button, state);
+  let made;
+  const draft = async () => (made = await post(`/api/units/${encodeURIComponent(unit)}/calibrations`, { solve: id }));
+  const done = () => fill(state, `Revision ${made.revision} (${made.status.replaceAll("_", " ")}) of `, unitLink(unit), ".");
+  return h("div", { class: "buttons" }, confirmButton(`Draft a calibration of ${unit}…`, question, draft, done), state);
 }
 
-function parameterTable(parameters) {
+function parameterTable(unitName, parameters) {
   const rows = Object.entries(parameters).map(([name, { value, std }]) => {
     const [title, unit] = PARAMETERS[name] ?? [name.replaceAll("_", " "), ""];
-    return h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, title),
-      cell(significant(value, 4)),
-      cell(isKnown(std) ? significant(std, 2) : "–"),
-      h("td", {}, unit),
-    );
+    return tableRow(title, [...[significant(value, 4), isKnown(std) ? significant(std, 2) : "–"].map(numberCell), unit]);
   });
-  return h("table", {}, headings("Parameter", "#Value", "#Standard error", "Unit"), h("tbody", {}, rows));
+  return dataTable(`Parameters of unit ${unitName}`, ["Parameter", "#Value", "#Standard error", "Unit"], rows);
 }
 
-/** Bias and matrix of a sensor of three axes: true = matrix·(raw − bias). */
+/** Bias and matrix of a three-axis sensor: true = matrix·(raw − bias). */
 function axes(title, name, bias, matrix) {
   const rows = ["x", "y", "z"].map((axis, k) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, axis),
-      cell(significant(bias?.[k], 4)),
-      [0, 1, 2].map((column) => cell(significant(matrix?.[k][column], 6))),
-    ),
+    tableRow(axis, [
+      numberCell(significant(bias?.[k], 4)),
+      ...[0, 1, 2].map((column) => numberCell(significant(matrix?.[k][column], 6))),
+    ]),
   );
   const head = headings("Axis", `#${name}`, "#Matrix, x", "#y", "#z");
   return tableBox(title, h("table", {}, h("caption", {}, title), head, h("tbody", {}, rows)));

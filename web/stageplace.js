@@ -1,9 +1,9 @@
-// Where a stage without homing stands, by the word of whoever starts or resumes a run.
+// The position of a stage without homing, entered by the user who starts or resumes a run.
 
 import { get } from "./api.js";
 import { field, fill, h, runName } from "./dom.js";
 
-const ASKED_FOR = "--stage-at"; // in the error of a run that needs to know
+const ASKED_FOR = "--stage-at"; // in the error of a run that needs the position
 
 /** The field; `value()` is the elevation or null, `put(value)` sets it. */
 export function placeField() {
@@ -13,7 +13,7 @@ export function placeField() {
     step: "any",
     min: "-360",
     max: "360",
-    placeholder: "as remembered",
+    placeholder: "as stored",
   });
   return {
     element: field("stage_at_deg", "The stage stands at, °", input),
@@ -22,17 +22,11 @@ export function placeField() {
   };
 }
 
-/** The field folded up; `look()` opens it where the last run on `rigName()` ended for want of it. */
+/** The folded field; `look()` opens it if the last run on `rigName()` failed without it. */
 export function stagePlace(rigName, signal) {
   const place = placeField();
   const why = h("p", { id: "stage-at-why", class: "muted" });
-  const element = h(
-    "details",
-    { id: "stage-place" },
-    h("summary", {}, "Stage without homing"),
-    why,
-    place.element,
-  );
+  const element = h("details", { id: "stage-place" }, h("summary", {}, "Stage without homing"), why, place.element);
 
   async function look() {
     const rig = rigName();
@@ -45,8 +39,8 @@ export function stagePlace(rigName, signal) {
     fill(
       why,
       isAskedFor
-        ? `Run ${runName(last.id)}, the last one on this rig, needs to be told: ${last.error}`
-        : "Needed only where the service does not know where it stands, or somebody has turned it by hand.",
+        ? `The last run on this rig, ${runName(last.id)}, needs the position: ${last.error}`
+        : "Needed only if the service does not know the position, or if the stage was rotated by hand.",
     );
   }
 

@@ -1,7 +1,20 @@
-// The first view: start a run, see the rigs, find the runs there are.
+// The first view: start a run, rigs, and the list of runs.
 
 import { get, post } from "./api.js";
-import { errorLine, field, fill, h, onSubmit, rigHref, runHref, runLink, statusPill } from "./dom.js";
+import {
+  card,
+  errorLine,
+  field,
+  fill,
+  h,
+  onSubmit,
+  rigHref,
+  runHref,
+  runLink,
+  select,
+  serialInput,
+  statusPill,
+} from "./dom.js";
 import { planForm } from "./plan.js";
 import { portsLook } from "./ports.js";
 import { onRigs, standing } from "./rigs.js";
@@ -11,7 +24,7 @@ import { stagePlace } from "./stageplace.js";
 const OPERATOR_KEY = "calrig.operator";
 const TOUCH = window.matchMedia("(pointer: coarse)"); // where a focus would open the keyboard over the page
 
-/** An address may fill the form in: `#/?unit=AS-1&rig=bench-1&mounts=0,120,240&axis=x`. */
+/** The address can fill the form: `#/?unit=AS-1&rig=bench-1&mounts=0,120,240&axis=x`. */
 export async function startView({ root, query, signal }) {
   const rigs = await get("/api/rigs", signal);
   const { form, place, unit } = startForm(rigs, query, signal);
@@ -21,40 +34,18 @@ export async function startView({ root, query, signal }) {
   fill(
     root,
     h("h1", {}, "Calibrate a unit"),
-    h(
-      "div",
-      { class: "columns" },
-      form,
-      h(
-        "section",
-        { class: "card", "aria-labelledby": "rigs-title" },
-        h("h2", { id: "rigs-title" }, "Rigs"),
-        rigList,
-        portsLook(),
-      ),
-    ),
+    h("div", { class: "columns" }, form, card("rigs", "Rigs", rigList, portsLook())),
     runs.element,
   );
-  if (!TOUCH.matches) unit.focus({ preventScroll: true }); // a reader of bar codes types where the focus is
+  if (!TOUCH.matches) unit.focus({ preventScroll: true }); // a bar-code reader types where the focus is
   await Promise.all([runs.refresh(), rigs.length > 0 && place.look()]);
-  import("./run.js").catch(() => {}); // where Start leads, which asks for it again
+  import("./run.js").catch(() => {}); // preloads the view that Start opens
   keepFresh(rigList, runs, rigs, signal);
 }
 
 function startForm(rigs, query, signal) {
-  const rig = h(
-    "select",
-    { id: "rig" },
-    rigs.map(({ name }) => h("option", { value: name, selected: name === query.get("rig") }, name)),
-  );
-  const unit = h("input", {
-    id: "unit",
-    type: "text",
-    required: true,
-    autocomplete: "off",
-    spellcheck: "false",
-    value: query.get("unit"),
-  });
+  const rig = select({ id: "rig" }, rigs.map(({ name }) => name), query.get("rig"));
+  const unit = serialInput(query.get("unit"));
   const operator = h("input", {
     id: "operator",
     type: "text",
@@ -78,7 +69,7 @@ function startForm(rigs, query, signal) {
     h(
       "div",
       { class: "fields two" },
-      field("unit", "Unit's serial number", unit),
+      field("unit", "Serial number", unit),
       field("rig", "Rig", rig),
       field("operator", "Operator (optional)", operator),
       field("note", "Note (optional)", note),
@@ -112,7 +103,12 @@ function showRigs(list, rigs) {
       h(
         "li",
         {},
-        h("span", { class: "rig-name" }, h("a", { href: rigHref(rig.name) }, rig.name), rig.simulated && h("span", { class: "tag" }, "simulated")),
+        h(
+          "span",
+          { class: "rig-name" },
+          h("a", { href: rigHref(rig.name) }, rig.name),
+          rig.simulated && h("span", { class: "tag" }, "simulated"),
+        ),
         statusPill(rig.state),
         h("span", { class: "muted" }, `stage ${rig.stage}, board ${rig.imu}`),
         rig.run_id && runLink(rig.run_id, "Watch run "),
@@ -122,7 +118,7 @@ function showRigs(list, rigs) {
   );
 }
 
-/** The rigs as they change; the runs only then, too. */
+/** Updates rigs and runs after every change of the rigs. */
 function keepFresh(rigList, runs, rigs, signal) {
   let before = standing(rigs);
   onRigs((now) => {

@@ -1,18 +1,21 @@
-// The stop buttons in the page's header: in view on every page, one click, no question asked.
+// The stop buttons in the header: visible on every page, one click, without confirmation.
 
-import { ApiError, post } from "./api.js";
+import { post, serviceError } from "./api.js";
 import { fill, h, runName } from "./dom.js";
 import { onRigs } from "./rigs.js";
 
 const BUTTONS = 3;
 const CHOSEN_KEY = "calrig.stop-rig";
 const CALM_MS = 15_000;
+const BACK =
+  "The service is reachable again. Stop requests sent while it was away were not delivered: if a stage moves, press Stop " +
+  "again.";
 const CUT = "If the stage still moves, cut its motor power.";
-const CUT_EACH = "Where a stage still moves, cut its motor power.";
+const CUT_EACH = "If a stage still moves, cut its motor power.";
 
 let preferred = null;
 
-/** On a page about one rig, that is the first of the buttons; null on every other page. */
+/** Puts the button of a page's own rig first; null on pages without one. */
 export function preferRig(name) {
   if (name === preferred) return;
   preferred = name;
@@ -20,10 +23,9 @@ export function preferRig(name) {
 }
 
 /**
- * Fills `place` with a button for each rig, and one for all: in the order configured, a page's own rig first. While
- * a page is shown no button becomes another rig's under the pointer. Of many rigs one is chosen from a list; where
- * they stand in several halls, the last button stops those of its hall: nobody sees more stages than that. What came
- * of it is said in `line`.
+ * Fills `place` with a button for each rig and one for all, in configured order, a page's own rig first. While a page is
+ * shown, no button changes its rig under the pointer. Many rigs share a list; if they are in several halls, the last
+ * button stops those of one hall, as no operator sees more. `line` shows the outcome.
  */
 export function stopButtons(place, line) {
   let known = [];
@@ -48,7 +50,7 @@ export function stopButtons(place, line) {
 
 const named = (rigs) => rigs.map(({ name, hall }) => `${name} ${hall ?? ""}`).join("\n");
 
-/** One for a rig in a list, which is heard as its own; what comes of it is said in the page's header. */
+/** A button for a rig in a list, with the rig's name for screen readers; the header shows the outcome. */
 export function stopButton(name) {
   const element = button(name, document.getElementById("stop-line"));
   element.querySelector("span").className = "for-screen-readers";
@@ -68,7 +70,7 @@ function allButton(rigs, line) {
   return element;
 }
 
-/** The list, the button of the rig that is chosen from it, and the one of all rigs, or of all in that rig's hall. */
+/** The list, the button of its selected rig, and the one of all rigs, or of all in that rig's hall. */
 function chosenRig(rigs, known, line) {
   const option = ({ name }) => h("option", { value: name }, name);
   const halls = [...new Set(rigs.map(({ hall }) => hall))];
@@ -86,7 +88,7 @@ function chosenRig(rigs, known, line) {
   };
   choice.addEventListener("change", () => {
     choose(choice.value);
-    localStorage.setItem(CHOSEN_KEY, choice.value); // a screen in a hall stays that hall's
+    localStorage.setItem(CHOSEN_KEY, choice.value); // per browser, as a screen belongs to one hall
   });
   const kept = rigs.find(({ name }) => name === localStorage.getItem(CHOSEN_KEY));
   const usual = kept ?? rigs.find(({ state }) => state === "busy") ?? rigs[0];
@@ -98,50 +100,49 @@ const hallName = (hall) => hall ?? "no hall";
 
 async function stop(name, line) {
   say(line, `Stopping ${name}…`, "muted");
-  const { state, run_id: run, problem } = await told(name);
+  const { state, run_id: run, problem } = await request(name);
   if (problem) {
-    // of a 409 the service has been at the stage, and says what to do
+    // the message of a 409 itself says what to do
     return saysNot(line, `${name} was not stopped: ${problem.message}`, problem.status === 409 ? "." : ` ${CUT}`, problem);
   }
   const ended = run ? ` Run ${runName(run)} ends; its poses are kept.` : "";
-  say(line, `${name}: the stage was told to stop.${ended}${state === "unreachable" ? ` ${CUT}` : ""}`, "told");
+  say(line, `${name}: ${state === "unreachable" ? `stop sent. ${CUT}` : "stage stopped."}${ended}`, "told");
   calmLater(line);
 }
 
-/** Each by itself and those first where a run goes on; none waits for one that does not answer. */
+/** Stops each rig independently, those with a run first; none waits for a rig that does not answer. */
 async function stopAll(rigs, line) {
   const names = rigs.toSorted((a, b) => (b.state === "busy") - (a.state === "busy")).map(({ name }) => name);
   say(line, `Stopping all ${names.length} rigs…`, "muted");
-  const answers = await Promise.all(names.map(async (name) => ({ name, ...(await told(name)) })));
+  const answers = await Promise.all(names.map(async (name) => ({ name, ...(await request(name)) })));
   const not = answers.filter(({ problem, state }) => problem || state === "unreachable");
   if (not.length) {
     const lost = not.find(({ problem }) => problem?.status === 0)?.problem;
     const why = lost ? lost.message : not.map(({ name, problem }) => `${name}: ${problem?.message ?? "unreachable"}`).join("; ");
-    const words = `Not known to stand: ${not.map(({ name }) => name).join(", ")}. ${why}. ${CUT_EACH}`;
+    const words = `Standstill not confirmed: ${not.map(({ name }) => name).join(", ")}. ${why}. ${CUT_EACH}`;
     return saysNot(line, words.replaceAll("..", "."), "", lost);
   }
-  say(line, `All ${names.length} stages were told to stop: ${names.join(", ")}.`, "told");
+  say(line, `All ${names.length} stages stopped: ${names.join(", ")}.`, "told");
   calmLater(line);
 }
 
-/** What the service answers, or the `problem`. */
-async function told(name) {
+/** The service's answer, or the `problem`. */
+async function request(name) {
   try {
     return await post(`/api/rigs/${encodeURIComponent(name)}/stop`);
   } catch (problem) {
-    if (!(problem instanceof ApiError)) throw problem;
-    return { problem };
+    return { problem: serviceError(problem) };
   }
 }
 
-/** Red, for as long as it holds: where nobody answered that is until the service is back. */
+/** Shows a failure until it is resolved: without any answer, until the service is reachable again. */
 function saysNot(line, text, more, problem) {
   say(line, text + more, "error");
   line.lost = problem?.status === 0;
 }
 
 function back(line) {
-  say(line, "The service is back. What it was asked to stop meanwhile it was not told: press Stop again if it moves.", "told");
+  say(line, BACK, "told");
 }
 
 function calmLater(line) {

@@ -1,14 +1,14 @@
-// A run's events: replayed from the beginning on a fresh page, from where it was on a lost line.
+// A run's events: from the beginning on a new page, from the last one after a lost connection.
 
 const TYPES = ["state", "progress", "pose", "reading", "move_mismatch"];
 const RETRY_MS = 2000;
 
 /**
- * Follows a run until `signal` aborts or `stop()` is called. `on[type](data)` is called once an event,
- * however often the line breaks: the sequence number in `id:` tells what was there before.
+ * Follows a run until `signal` aborts or `stop()` is called. `on[type](data)` is called once per event, by the sequence
+ * number in `id:`, however often the connection breaks.
  *
- * A browser grants a service six connections for all its tabs. A tab that nobody sees lets its own go, so that
- * many of them never keep a stop from getting through.
+ * A browser opens six connections to a service for all its tabs. A hidden tab closes its own, so that a stop request
+ * always finds one.
  */
 export function follow(runId, on, signal) {
   let source;

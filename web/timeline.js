@@ -1,10 +1,10 @@
-// The live timeline: readings as they come, in the look the service gives its own figure.
+// The live timeline: new readings in the layout of the service's figure.
 
 const MOST_POINTS = 4000;
 const REDRAW_MS = 250;
 
 export class Timeline {
-  /** `figure` is the service's own, whose points the event stream is about to repeat. */
+  /** `figure` is the service's, whose points the event stream repeats. */
   constructor(chart, figure, signal) {
     this.chart = chart;
     this.figure = figure;

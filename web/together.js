@@ -1,6 +1,6 @@
-// Other runs of the unit, to be diagnosed together with the one that is shown: a folded list of checkboxes.
+// A folded list of other runs of the unit, to be diagnosed together with this one.
 
-import { ApiError, get } from "./api.js";
+import { get, serviceError } from "./api.js";
 import { fill, h, runName } from "./dom.js";
 import { moment, plural } from "./format.js";
 
@@ -27,7 +27,7 @@ export class Together {
     this.summary.textContent = `Diagnose together with ${count ? plural(count, "more run") : "…"}`;
   }
 
-  /** Asked anew at each opening: runs may have been completed since. */
+  /** Reads the runs each time it is opened. */
   async #list() {
     const asked = new URLSearchParams({ unit: this.run.unit, status: "completed", limit: LISTED });
     try {
@@ -35,26 +35,19 @@ export class Together {
       const followed = chain(this.run, items);
       const others = items.filter((one) => one.id !== this.run.id && one.result && !one.voided);
       const boxes = others.map((one) => this.#box(one, followed.has(one.id)));
-      if (!boxes.length)
-        return fill(this.body, h("p", { class: "muted" }, "There is no other completed run of this unit."));
+      if (!boxes.length) return fill(this.body, h("p", { class: "muted" }, "No other completed run of this unit."));
+      const legend = h("legend", { class: "for-screen-readers" }, "Completed runs of this unit");
       fill(
         this.body,
-        h(
-          "fieldset",
-          {},
-          h("legend", { class: "for-screen-readers" }, "Completed runs of this unit"),
-          h("div", { class: "pick" }, boxes),
-        ),
+        h("fieldset", {}, legend, h("div", { class: "pick" }, boxes)),
         more && h("p", { class: "muted" }, `These are among the ${LISTED} newest runs of the unit.`),
       );
     } catch (error) {
-      if (this.signal.aborted) return;
-      if (!(error instanceof ApiError)) throw error;
-      fill(this.body, h("p", { class: "error", role: "alert" }, error.message));
+      fill(this.body, h("p", { class: "error", role: "alert" }, serviceError(error, this.signal)?.message));
     }
   }
 
-  /** A run that this one follows on is always taken: its box cannot be cleared. */
+  /** A run that this one follows is always included: its box cannot be cleared. */
   #box(run, isFollowed) {
     const box = h("input", {
       type: "checkbox",
@@ -73,7 +66,7 @@ export class Together {
   }
 }
 
-/** The ids of the runs that a run follows on, as far as they are listed. */
+/** The ids of the runs that a run follows, as far as they are listed. */
 function chain(run, listed) {
   const known = new Map(listed.map((one) => [one.id, one]));
   const found = new Set();

@@ -1,7 +1,7 @@
-// The trail: who did what, when and why; of all units, or of one.
+// The audit log: who did what, when and why; of all units, or of one.
 
 import { get } from "./api.js";
-import { errorLine, field, fill, h, headings, runLink, tableBox, unitLink } from "./dom.js";
+import { dataTable, errorLine, field, fill, h, runLink, select, tableRow, unitLink } from "./dom.js";
 import { moment } from "./format.js";
 
 const PAGE = 50;
@@ -11,25 +11,25 @@ const WORDS = {
   excluded: "excluded a pose",
   included: "included a pose again",
   voided: "voided a run",
-  unvoided: "had a run count again",
-  noted: "noted",
+  unvoided: "reinstated a run",
+  noted: "added a note",
   moved: "moved a run to another unit",
   accepted: "accepted effects",
-  taken_back: "took accepted effects back",
+  taken_back: "revoked accepted effects",
   drafted: "drafted a calibration",
   released: "released a calibration",
   withdrawn: "withdrew a calibration",
   limits_changed: "changed limits",
   check_unit_changed: "changed a check unit",
-  item_changed: "said how a unit came",
-  map_put_in_force: "put a stage's map in force",
-  map_withdrawn: "withdrew a stage's map",
+  item_changed: "changed an item as received",
+  map_put_in_force: "put a stage map in force",
+  map_withdrawn: "withdrew a stage map",
   user_added: "added a user",
   user_changed: "changed a user",
   unit_removed: "removed an empty unit",
-  bench_added: "let a bench join",
-  bench_enrolled: "joined as a bench",
-  bench_revoked: "let a bench in no more",
+  bench_added: "added a bench",
+  bench_enrolled: "enrolled as a bench",
+  bench_revoked: "revoked a bench",
 };
 
 export async function trailView({ root, query, signal }) {
@@ -40,12 +40,7 @@ export async function trailView({ root, query, signal }) {
     placeholder: "any",
     value: query.get("unit"),
   });
-  const what = h(
-    "select",
-    { id: "trail-what" },
-    h("option", { value: "" }, "anything"),
-    Object.entries(WORDS).map(([value, text]) => h("option", { value }, text)),
-  );
+  const what = select({ id: "trail-what" }, [["", "anything"], ...Object.entries(WORDS)]);
   const body = h("tbody");
   const state = h("p", { id: "trail-state", role: "status" });
   const more = h("button", { type: "button", hidden: true, on: { click: () => load(last) } }, "Show older entries");
@@ -60,12 +55,12 @@ export async function trailView({ root, query, signal }) {
     for (const [name, value] of Object.entries(wanted)) if (value) search.set(name, value);
     try {
       const { entries, intact, broken_at: brokenAt } = await get(`/api/trail?${search}`, signal);
-      if (mine !== asked) return; // a later question has been asked meanwhile
+      if (mine !== asked) return; // superseded by a later request
       if (after) body.append(...entries.map(row));
       else fill(body, entries.map(row));
       last = entries.at(-1)?.seq;
       more.hidden = entries.length < PAGE;
-      fill(state, intact ? INTACT : `Entry ${brokenAt} is not what was written there, or one before it is missing.`);
+      fill(state, intact ? INTACT : `Hash chain broken at entry ${brokenAt}: it was changed, or an earlier entry is missing.`);
       state.className = intact ? "muted" : "error";
       error.say(null);
     } catch (problem) {
@@ -76,41 +71,26 @@ export async function trailView({ root, query, signal }) {
   for (const input of [unit, what]) input.addEventListener("input", () => load(null));
   fill(
     root,
-    h("h1", {}, "Audit trail"),
+    h("h1", {}, "Audit log"),
     h(
       "section",
       { class: "card" },
-      h(
-        "div",
-        { class: "filters" },
-        field("trail-unit", "Unit (whole serial number)", unit),
-        field("trail-what", "What", what),
-      ),
+      h("div", { class: "filters" }, field("trail-unit", "Serial number", unit), field("trail-what", "What", what)),
       error.element,
       state,
-      tableBox(
-        "Trail",
-        h("table", { id: "trail-table" }, headings("When", "Who", "What", "Unit", "Run", "Why"), body),
-      ),
+      dataTable("Audit log", ["When", "Who", "What", "Unit", "Run", "Why"], body, { id: "trail-table" }),
       more,
     ),
   );
   await load(null);
 }
 
-const INTACT = "Every entry carries the hash of the one before it: none of them was changed or taken out.";
+const INTACT = "Hash chain intact: no entry was changed or removed.";
 
 function row({ seq, at, who, what, unit, rig, run_id: run, revision, reason, detail }) {
-  return h(
-    "tr",
-    { "data-entry": seq },
-    h("th", { scope: "row" }, moment(at)),
-    h("td", {}, who ?? "–"),
-    h("td", {}, `${WORDS[what]}${details(what, detail)}${revision ? `, revision ${revision}` : ""}`),
-    h("td", {}, unit ? unitLink(unit) : (rig ?? "–")),
-    h("td", {}, run ? runLink(run) : "–"),
-    h("td", {}, reason ?? detail.note ?? "–"),
-  );
+  const action = `${WORDS[what]}${details(what, detail)}${revision ? `, revision ${revision}` : ""}`;
+  const about = [unit ? unitLink(unit) : (rig ?? "–"), run ? runLink(run) : "–"];
+  return tableRow(moment(at), [who ?? "–", action, ...about, reason ?? detail.note ?? "–"], { "data-entry": seq });
 }
 
 function details(what, { pose, effects, from, to, name, role }) {

@@ -1,28 +1,23 @@
-// All units, and one unit with its history.
+// The list of units, and one unit with its history.
 
 import { get, post, remove } from "./api.js";
-import { askConfirmation } from "./ask.js";
+import { confirmButton } from "./ask.js";
 import { Calibrations } from "./calibrations.js";
-import { Chart } from "./charts.js";
-import { errorLine, fill, h, headings, held, runHref, solveHref, tableBox, unitLink } from "./dom.js";
+import { Chart, NONE_VALID } from "./charts.js";
+import { attempt, card, dataTable, errorLine, fill, h, numberCell, runHref, select, solveHref, tableRow, unitLink } from "./dom.js";
 import { moment, plural } from "./format.js";
 import { unitHistory } from "./history.js";
 import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
 
-const NONE_COUNT = "No completed calibration that counts: nothing is drawn of other runs, or of voided ones.";
-
 export async function unitsView({ root, signal }) {
   const units = await get("/api/units", signal);
   const rows = units.map((unit) =>
-    h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, unitLink(unit.serial)),
-      h("td", { class: "number" }, unit.n_runs.toLocaleString()),
-      h("td", {}, moment(unit.last_run_at)),
-      h("td", {}, moment(unit.due_at), unit.overdue && h("span", { class: "tag warns" }, "overdue")),
-    ),
+    tableRow(unitLink(unit.serial), [
+      numberCell(unit.n_runs.toLocaleString()),
+      moment(unit.last_run_at),
+      [moment(unit.due_at), unit.overdue && h("span", { class: "tag warns" }, "overdue")],
+    ]),
   );
   fill(
     root,
@@ -31,11 +26,8 @@ export async function unitsView({ root, signal }) {
       "section",
       { class: "card" },
       units.length
-        ? tableBox(
-            "Units",
-            h("table", { id: "units-table" }, headings("Unit", "#Runs", "Last run", "Due"), h("tbody", {}, rows)),
-          )
-        : h("p", { class: "muted" }, "No unit yet: a unit appears with its first run."),
+        ? dataTable("Units", ["Unit", "#Runs", "Last run", "Due"], rows, { id: "units-table" })
+        : h("p", { class: "muted" }, "No units yet. A unit appears with its first run."),
       units.length > 1 && h("p", { class: "downloads" }, h("a", { href: "#/compare" }, "Compare units")),
     ),
   );
@@ -46,12 +38,8 @@ export async function unitView({ root, parts: [serial], signal }) {
   const [unit, rigs] = await Promise.all([get(path, signal), get("/api/rigs", signal)]);
   const solvable = unit.runs.find((run) => run.result);
   const calibrations = new Calibrations(serial, signal);
-  const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal, empty: NONE_COUNT });
-  const body = h(
-    "tbody",
-    {},
-    unit.runs.map((run) => runRow(run, { withUnit: false })),
-  );
+  const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal, empty: NONE_VALID });
+  const rows = unit.runs.map((run) => runRow(run, { withUnit: false }));
   fill(
     root,
     h("h1", {}, "Unit ", h("span", { class: "serial" }, unit.serial)),
@@ -61,47 +49,35 @@ export async function unitView({ root, parts: [serial], signal }) {
     calibrations.elements,
     unitHistory(serial, signal),
     chart.element,
-    h(
-      "section",
-      { class: "card", "aria-labelledby": "history-title" },
-      h("h2", { id: "history-title" }, "Runs"),
-      tableBox(
-        "Runs of this unit",
-        h("table", { id: "history-table" }, runHeadings({ withUnit: false }), body),
-      ),
+    card(
+      "runs",
+      "Runs",
+      dataTable("Runs of this unit", runHeadings({ withUnit: false }), rows, { id: "history-table" }),
       h(
         "p",
         { class: "downloads" },
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
-        solvable && h("a", { href: solveHref({ rig: solvable.rig, unit: serial }) }, "Solve together with its stage"),
-        h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Trail: who did what"),
-        h("a", { href: `${path}/archive`, download: "", id: "archive" }, "Archive of all this (zip)"),
+        solvable && h("a", { href: solveHref({ rig: solvable.rig, unit: serial }) }, "Separate errors of stage and unit"),
+        h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Audit log of this unit"),
+        h("a", { href: `${path}/archive`, download: "", id: "archive" }, "Archive of this unit (ZIP)"),
       ),
     ),
   );
   await Promise.all([calibrations.read(), chart.load(`${path}/figures/history`)]);
 }
 
-/** Applies the revision in force to fresh poses of the default plan, on the rig that it was calibrated on if that is there. */
+/** The button that verifies the revision in force with new poses, by default on the rig that it was calibrated on. */
 function verifying({ serial, runs, active_run_id: active, revision_in_force: revision }, rigs) {
   const last = runs.find(({ id }) => id === active)?.rig;
-  const options = rigs.map(({ name }) => h("option", { value: name, selected: name === last }, name));
-  const rig = h("select", { id: "verify-rig", "aria-label": "Rig to verify on" }, options);
+  const rig = select({ id: "verify-rig", "aria-label": "Rig to verify on" }, rigs.map(({ name }) => name), last);
   const button = h("button", { type: "button", id: "verify" }, "Verify");
   const error = errorLine("verify-error");
-  button.addEventListener("click", async () => {
-    const release = held(button);
-    error.say(null);
-    try {
-      const run = await post("/api/runs", { unit: serial, rig: rig.value, plan: { kind: "verification" } });
-      location.hash = runHref(run.id);
-    } catch (problem) {
-      error.say(problem);
-    } finally {
-      release();
-    }
-  });
-  const says = `Starts a run that applies revision ${revision} to fresh poses and tells what is left.`;
+  const verify = async () => {
+    const run = await post("/api/runs", { unit: serial, rig: rig.value, plan: { kind: "verification" } });
+    location.hash = runHref(run.id);
+  };
+  button.addEventListener("click", () => attempt([button], error, verify));
+  const says = `Starts a run that applies revision ${revision} to new poses and reports the residual.`;
   return h(
     "div",
     {},
@@ -110,17 +86,14 @@ function verifying({ serial, runs, active_run_id: active, revision_in_force: rev
   );
 }
 
-/** Of a unit whose runs were moved to their right serial number. */
+/** The button that removes a unit whose runs were all moved to another serial number. */
 function removal(serial, path, calibrations) {
   const question = {
     title: `Remove unit ${serial}?`,
-    text: "It has no runs. The trail keeps what was done to it.",
+    text: "It has no runs. Its entries in the audit log are kept.",
     action: "Remove the unit",
   };
-  const button = h("button", { type: "button", id: "remove-unit" }, "Remove this empty unit…");
-  button.addEventListener("click", async () => {
-    const removed = () => remove(path).then(() => (calibrations.unitIsGone = true));
-    if (await askConfirmation(question, removed)) location.hash = "#/units";
-  });
-  return h("p", {}, button);
+  const removed = () => remove(path).then(() => (calibrations.unitIsGone = true));
+  const leave = () => (location.hash = "#/units");
+  return h("p", {}, confirmButton("Remove this empty unit…", question, removed, leave, { id: "remove-unit" }));
 }

@@ -1,12 +1,12 @@
-// A form with a file, sent so that it is known how much of it has gone, which `fetch` does not tell.
+// Uploads a form with a file and reports the progress, which `fetch` does not.
 
-/** The Response to a POST of the form, as of `fetch`; `told(share)` as it goes, 1 once all of it is sent. */
-export function upload(path, form, signal, told) {
+/** The Response to a POST of the form, as of `fetch`; `onProgress(share)` follows it, 1 once all of it is sent. */
+export function upload(path, form, signal, onProgress) {
   return new Promise((resolve, reject) => {
     signal.throwIfAborted(); // given up while this file was on its way
     const request = new XMLHttpRequest();
     request.open("POST", path);
-    request.upload.addEventListener("progress", ({ loaded, total }) => told(loaded / total));
+    request.upload.addEventListener("progress", ({ loaded, total }) => onProgress(loaded / total));
     request.addEventListener("load", () => resolve(responseOf(request)));
     request.addEventListener("error", () => reject(new TypeError("no answer came")));
     request.addEventListener("abort", () => reject(new DOMException("given up", "AbortError")));

@@ -1,20 +1,22 @@
-// Users, for an admin: who is known, in which role; a new token is shown once.
+// Users and their roles, for an admin; a new token is shown once.
 
 import { get, post } from "./api.js";
 import { askConfirmation } from "./ask.js";
-import { errorLine, field, fill, h, headings, onSubmit, tableBox } from "./dom.js";
+import { bullets, button, dataTable, errorLine, field, fill, h, onSubmit, select, tableRow } from "./dom.js";
 import { moment } from "./format.js";
 
 const ROLES = {
-  viewer: "looks, and stops a stage",
-  operator: "runs, imports, diagnoses, notes, leaves poses out",
+  viewer: "views everything, and stops stages",
+  operator: "runs, imports, diagnoses, adds notes, excludes poses",
   releaser: "accepts effects, releases calibrations, voids and moves runs",
-  admin: "keeps users, limits and check units",
+  admin: "changes users, limits and stage maps",
 };
+
+const NAMES = ["Name", "Role", "Authentication", "Since", ""];
 
 export async function usersView({ root, signal }) {
   const body = h("tbody");
-  const told = h("div", { id: "told", role: "status" });
+  const shown = h("div", { id: "told", role: "status" });
   const error = errorLine("users-error");
   const name = h("input", {
     id: "user-name",
@@ -25,7 +27,7 @@ export async function usersView({ root, signal }) {
     autocomplete: "off",
     autocapitalize: "off",
   });
-  const role = roleChoice("operator", { id: "user-role" });
+  const role = select({ id: "user-role" }, Object.keys(ROLES), "operator");
   const add = h("button", { id: "add-user", type: "submit", class: "primary" }, "Add");
   const form = h(
     "form",
@@ -40,10 +42,10 @@ export async function usersView({ root, signal }) {
     fill(body, users.map((user) => row(user, act)));
   }
 
-  /** Does something to users, then shows them as they are, and a token that came of it. */
+  /** Changes users, then shows them, and a new token if there is one. */
   async function act(path, sent) {
     const done = await post(`/api/users${path}`, sent);
-    fill(told, done.token && tokenBox(done));
+    fill(shown, done.token && tokenBox(done));
     await show();
   }
 
@@ -54,35 +56,23 @@ export async function usersView({ root, signal }) {
   fill(
     root,
     h("h1", {}, "Users"),
-    h("section", { class: "card" }, form, error.element, told, explained()),
-    h(
-      "section",
-      { class: "card" },
-      tableBox("Users", h("table", { id: "users-table" }, headings("Name", "Role", "Authentication", "Since", ""), body)),
-    ),
+    h("section", { class: "card" }, form, error.element, shown, explained()),
+    h("section", { class: "card" }, dataTable("Users", NAMES, body, { id: "users-table" })),
   );
   await show();
 }
 
-/** Each role may what those above it may, and more. */
+/** What each role permits. */
 function explained() {
-  const lines = Object.entries(ROLES).map(([name, may]) => h("li", {}, h("strong", {}, name), `: ${may}`));
-  const summary = h("summary", {}, "What each role may, beside what those above it may");
-  return h("details", {}, summary, h("ul", {}, lines));
-}
-
-function roleChoice(chosen, props) {
-  return h(
-    "select",
-    props,
-    Object.keys(ROLES).map((name) => h("option", { selected: name === chosen }, name)),
-  );
+  const lines = Object.entries(ROLES).map(([name, may]) => [h("strong", {}, name), `: ${may}`]);
+  const summary = h("summary", {}, "Permissions of each role, in addition to those above it");
+  return h("details", {}, summary, bullets(lines));
 }
 
 function row(user, act) {
   const error = errorLine(`error-${user.name}`);
   const path = `/${encodeURIComponent(user.name)}`;
-  const role = roleChoice(user.role, { "aria-label": `Role of ${user.name}` });
+  const role = select({ "aria-label": `Role of ${user.name}` }, Object.keys(ROLES), user.role);
   role.addEventListener("change", async () => {
     try {
       await act(`${path}/role`, { role: role.value });
@@ -94,38 +84,32 @@ function row(user, act) {
   const ask = (name, title, text, action, verb) => {
     const question = { title: `${title} ${user.name}?`, text, action };
     const click = () => askConfirmation(question, () => act(`${path}/${verb}`));
-    const label = `${title} ${user.name}`;
-    return h("button", { type: "button", class: "small", "aria-label": label, on: { click } }, name);
+    return button(name, click, { class: "small", "aria-label": `${title} ${user.name}` });
   };
-  const renew = "The one before opens nothing any more, nor does a login begun with it.";
-  const end = "Token and login open nothing any more. What they did stays theirs.";
-  return h(
-    "tr",
+  const renew = "The previous token and all logins made with it stop working.";
+  const end = "Token and logins stop working. Past actions stay attributed to the user.";
+  const actions = !user.disabled_at && [
+    ask("New token", "New token for", renew, "Make a token", "token"),
+    " ",
+    ask("Disable", "Disable", end, "Disable", "disable"),
+  ];
+  return tableRow(
+    user.name,
+    [
+      h("td", { class: "plain" }, user.disabled_at ? user.role : [role, error.element]),
+      wayIn(user),
+      moment(user.created_at),
+      h("td", { class: "plain" }, actions),
+    ],
     { class: user.disabled_at && "voided" },
-    h("th", { scope: "row" }, user.name),
-    h("td", { class: "plain" }, user.disabled_at ? user.role : [role, error.element]),
-    h("td", {}, wayIn(user)),
-    h("td", {}, moment(user.created_at)),
-    h(
-      "td",
-      { class: "plain" },
-      !user.disabled_at && [
-        ask("New token", "New token for", renew, "Make a token", "token"),
-        " ",
-        ask("Disable", "Disable", end, "Disable", "disable"),
-      ],
-    ),
   );
 }
 
 function wayIn({ disabled_at: disabled, has_token: token }) {
-  if (disabled) return "no more";
+  if (disabled) return "disabled";
   return token ? "by token, or a trusted proxy" : "by a trusted proxy";
 }
 
 function tokenBox({ name, token }) {
-  return [
-    h("p", {}, `The token of ${name}, shown this once:`),
-    h("p", {}, h("code", { id: "new-token" }, token)),
-  ];
+  return [h("p", {}, `Token of ${name}, shown only once:`), h("p", {}, h("code", { id: "new-token" }, token))];
 }

@@ -1,12 +1,12 @@
-// A run that waits for the unit to be turned: one instruction, what gravity reads meanwhile, and Go.
+// A run that waits for the unit to be remounted: instruction, angle measured by gravity, and buttons.
 
 import { post } from "./api.js";
 import { errorLine, h } from "./dom.js";
 import { fixed } from "./format.js";
 
-const RIGHT_DEG = 5; // as near as the service asks for
+const RIGHT_DEG = 5; // the tolerance of the service
 
-/** `ask(verb)` posts resume or abort and gives what was wrong; `clamp` tells whether the rig turns the unit itself. */
+/** `ask(verb)` posts resume or abort; `clamp`: whether the rig can rotate the unit itself. */
 export class WaitingCard {
   constructor(rig, ask, clamp) {
     this.rig = rig;
@@ -15,8 +15,8 @@ export class WaitingCard {
     this.now = h("p", { id: "mount-now", class: "mount-now", "aria-live": "off" });
     this.error = errorLine("waiting-error");
     this.buttons = [
-      this.#button("go", "Go", "primary", () => ask("resume")),
-      clamp && this.#button("turn", "Turn it with the rig's clamp", null, () => this.#turn()),
+      this.#button("go", "Continue", "primary", () => ask("resume")),
+      clamp && this.#button("turn", "Rotate it with the rig's clamp", null, () => this.#turn()),
       this.#button("abort-waiting", "Abort", "danger", () => ask("abort")),
     ].filter(Boolean);
     this.element = h(
@@ -34,9 +34,10 @@ export class WaitingCard {
     this.element.hidden = !asked;
     if (!asked || JSON.stringify(asked) === JSON.stringify(this.asked)) return;
     this.asked = asked;
-    this.title.textContent = `Turn the unit to ${fixed(asked.mount_deg, decimals(asked.mount_deg), "°")}, then Go`;
+    const decimals = Number.isInteger(asked.mount_deg) ? 0 : 2;
+    this.title.textContent = `Clamp the unit at ${fixed(asked.mount_deg, decimals, "°")}, then continue`;
     const axis = asked.mount_axis.replace("-", "−");
-    this.how.textContent = `Clamp it with its ${axis} along the stage's axis. The stage stands until you press Go.`;
+    this.how.textContent = `The unit's ${axis} axis lies along the stage axis. The stage stays at rest until you press Continue.`;
     this.now.textContent = "";
     this.error.say(null);
   }
@@ -45,9 +46,9 @@ export class WaitingCard {
     if (this.element.hidden || mount_deg === undefined) return;
     const left = this.asked.mount_deg - mount_deg;
     const now = fixed(mount_deg, 0, "°");
-    this.now.classList.toggle("right", Math.abs(left) <= RIGHT_DEG);
-    this.now.textContent =
-      Math.abs(left) <= RIGHT_DEG ? `Now at ${now}: right.` : `Now at ${now}: turn it ${left > 0 ? "on" : "back"} by ${fixed(Math.abs(left), 0, "°")}.`;
+    const isRight = Math.abs(left) <= RIGHT_DEG;
+    this.now.classList.toggle("right", isRight);
+    this.now.textContent = `Now at ${now}: ${isRight ? "within tolerance" : `rotate it by ${fixed(left, 0, "°")}`}.`;
   }
 
   #button(id, text, kind, work) {
@@ -69,8 +70,4 @@ export class WaitingCard {
   async #turn() {
     await post(`/api/rigs/${encodeURIComponent(this.rig)}/clamp`, this.asked);
   }
-}
-
-function decimals(angle) {
-  return Number.isInteger(angle) ? 0 : 2;
 }

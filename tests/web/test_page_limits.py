@@ -30,7 +30,7 @@ def kept(client):
 
 def test_limits_are_added_put_in_order_and_removed(page, client, go, expect):
     go("#/limits")
-    expect(page.locator("#limits")).to_contain_text("No limit yet")
+    expect(page.locator("#limits")).to_contain_text("No limits")
     page.click("#add-limit")
     expect(page.locator('[name="[0].name"]')).to_be_focused()
     fill_in(page, 0, name="flight", units="AS-*", max_error_deg=0.6)
@@ -49,7 +49,7 @@ def test_limits_are_added_put_in_order_and_removed(page, client, go, expect):
     )
     assert (everything["units"], everything["scale"], everything["rule"]) == ("*", [0.9, 1.1], "simple")
 
-    page.get_by_role("button", name="Earlier: limit 2").click()
+    page.get_by_role("button", name="Move up: limit 2").click()
     expect(page.locator("#limits-saved")).to_be_empty()
     page.click("#save-limits")
     expect(page.locator("#limits-saved")).to_contain_text("Saved")

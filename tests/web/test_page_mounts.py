@@ -27,14 +27,12 @@ def test_a_run_asks_for_the_unit_to_be_turned_and_goes_on_once_it_is(page, clien
     page.fill("#elevations_deg", "-20, 20")
     page.fill("#sweeps", "1")
     page.fill("#dwell_s", "0.5")
-    expect(page.locator("#plan-summary")).to_contain_text(
-        "2 poses a mount, and the unit turned once in between"
-    )
+    expect(page.locator("#plan-summary")).to_contain_text("2 poses per mounting")
     page.click("#start")
-    expect(page.locator("#waiting-for")).to_have_text("Turn the unit to 120°, then Go")
-    expect(page.locator("#mount-now")).to_contain_text("turn it on by 1")
+    expect(page.locator("#waiting-for")).to_contain_text("120°")
+    expect(page.locator("#mount-now")).to_contain_text("rotate it by 1")
     page.click("#go")
-    expect(page.locator("#waiting-error")).to_contain_text("not 120°: turn it on by 1")
+    expect(page.locator("#waiting-error")).to_contain_text("not 120°")
     run_id = page.url.rpartition("/")[2]
     waiting = client.get(f"/api/runs/{run_id}").json()
     assert (waiting["status"], waiting["progress"]["waiting_for"]) == (
@@ -45,11 +43,11 @@ def test_a_run_asks_for_the_unit_to_be_turned_and_goes_on_once_it_is(page, clien
         client.post("/api/rigs/headed/clamp", json={"mount_deg": 120, "mount_axis": "w"}).status_code == 422
     )
     page.click("#turn")
-    expect(page.locator("#mount-now")).to_contain_text("right")
+    expect(page.locator("#mount-now.right")).to_be_visible()
     page.click("#go")
     expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("#waiting-for")).to_be_hidden()
-    expect(page.locator("#result")).to_contain_text("2, of the first mount (0°)")
+    expect(page.locator("#result")).to_contain_text("2, of the first mounting (0°)")
     told = client.get(f"/api/runs/{run_id}/poses").json()
     assert [(p["mount"], p["mount_deg"], p["mount_axis"]) for p in told[1:3]] == [
         (f"{run_id} 0°", 0.0, "x"),

@@ -27,13 +27,13 @@ def forgiven():
 def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed").Axe()
     go("#/units/CLAMPED-3")
-    page.get_by_role("link", name="Solve together with its stage").click()
+    page.get_by_role("link", name="Separate errors of stage and unit").click()
     ticked = page.locator("#solve-runs input:checked")
     expect(ticked).to_have_count(3)
     assert axe.run(page).violations_count == 0
     page.get_by_role("button", name="None").click()
     page.click("#solve")
-    expect(page.locator("#solve-error")).to_have_text("Tick the runs that are to be solved.")
+    expect(page.locator("#solve-error")).to_contain_text("at least one run")
     for run_id in runs:
         page.locator(f"#solve-runs input[value='{run_id}']").check()
     page.click("#solve")
@@ -41,7 +41,7 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     expect(page.locator(".plot .plot-container")).to_have_count(3)
     found = client.get(f"/api/solve/{page.url.split('/')[-1]}").json()
     assert found["runs"] == runs[::-1], "the newest first, as they are listed"
-    assert row_of(page, "#mounts", "240°")["Found"].startswith("240.")
+    assert row_of(page, "#mounts", "240°")["Fitted"].startswith("240.")
     assert figures_of(page, ".solution")["Level"].startswith("not known")
     assert axe.run(page).violations_count == 0
     with page.expect_download() as download:
@@ -54,7 +54,7 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     page.route("**/api/rigs/bench-1/map", lambda route: route.fulfill(**older))
     page.click("#use-map")
     page.get_by_test_id("confirm").click()
-    expect(page.locator("#ask-error")).to_contain_text("keeps no maps of rigs")
+    expect(page.locator("#ask-error")).to_contain_text("stores no maps")
 
 
 def test_one_mount_leads_to_a_run_with_those_that_help(page, client, go, expect):
@@ -71,5 +71,5 @@ def test_one_mount_leads_to_a_run_with_those_that_help(page, client, go, expect)
     expect(page.get_by_role("heading", name="Calibrate a unit")).to_be_visible()
     assert "?mounts=0%2C120%2C240&rig=bench-1&unit=CLAMPED-1" in page.url
     go("#/rigs/bench-1")
-    page.get_by_role("link", name="Solve its stage and its units together").click()
+    page.get_by_role("link", name="Separate errors of stage and units").click()
     expect(page.locator("#solutions-table tbody tr").first).to_contain_text("CLAMPED-1")

@@ -57,7 +57,7 @@ def test_the_place_is_asked_for_where_a_run_has_failed_for_want_of_it(
     expect(page.locator("#view")).to_contain_text('"The stage stands at" where the page starts a run')
     go("#/")
     expect(page.locator("#stage_at_deg")).to_be_visible()
-    expect(page.locator("#stage-at-why")).to_contain_text("needs to be told")
+    expect(page.locator("#stage-at-why")).to_contain_text("needs the position")
 
     page.fill("#unit", "A")
     page.evaluate("document.querySelector('form.start').noValidate = true")

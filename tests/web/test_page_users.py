@@ -50,7 +50,7 @@ def test_an_admin_adds_a_user_whose_page_offers_what_they_may(page, client, go, 
         expect(page.locator(button)).to_have_count(0)
     expect(page.locator("button.stop")).to_be_visible()
     page.click("button.stop")
-    expect(page.locator("#stop-line")).to_contain_text("the stage was told to stop")
+    expect(page.locator("#stop-line")).to_contain_text("stage stopped")
 
     client.post("/api/users/ada/role", json={"role": "releaser"}).raise_for_status()
     page.reload()
@@ -74,7 +74,7 @@ def test_a_role_is_changed_and_a_user_disabled(page, client, go, expect, forgive
     expect(page.get_by_label("Role of ben")).to_have_value("operator")
     page.get_by_role("button", name="Disable ben").click()
     page.get_by_test_id("confirm").click()
-    expect(row).to_contain_text("no more")
+    expect(row).to_contain_text("disabled")
     users = {user["name"]: user for user in client.get("/api/users").json()}
     assert (users["ben"]["role"], users["ben"]["disabled_at"] is not None) == ("operator", True)
     page.get_by_label("Role of root").select_option("viewer")
