@@ -1,11 +1,10 @@
-"""Whether the unit felt what the stage says it did: the gyro over each move, and gravity after it.
+"""Compare each move as the unit measured it with the rotation that the stage reports, pose by pose.
 
-An open loop that loses steps tells nobody; the unit on it knows. Gyro and gravity tell a move only as well
-as they are known themselves, and before a calibration that is not well: so what may be wrong with unit and
-stage is learned move by move. Each move is predicted first, and what is left is compared with what the
-prediction allows.
+An open-loop stage that loses steps does not report it; gyro and gravity measure it. Before a calibration the
+errors of unit and stage are not known, so they are learned move by move: each move is predicted first, and
+the residual is compared with the uncertainty of the prediction.
 
-What is felt less what the stage turned (Δ) is modelled as linear in unknowns of the unit and the stage:
+The measured rotation minus the reported one (Δ) is linear in unknown errors of the unit and the stage:
 
     gyro    = scale·Δ + common
     gravity = harmonics of the unit's own elevation + a share of the last moves not settled yet + common
@@ -29,11 +28,11 @@ from calrig.estimation.angles import FloatArray, wrap_deg
 
 CHANCE_STD = 6.0
 SAID_DEG = 0.3
-"""A discrepancy beyond both is said."""
+"""A discrepancy beyond both is reported as a mismatch."""
 ENDS_DEG = 2.0
-"""One beyond this, or two in a row, and the stage's word is worth nothing any more."""
+"""A discrepancy beyond this, or two in a row, ends the run: the stage's position is lost."""
 CONTRADICTS_STD = 4.0
-"""Where gyro and gravity differ by more, one is wrong: then gravity decides, which sees where the unit is."""
+"""Where gyro and gravity differ by more, one is wrong; gravity decides, since it measures the elevation."""
 
 RECTANGULAR = 1.0 / math.sqrt(3.0)
 PRIOR_STD = RECTANGULAR * np.array(

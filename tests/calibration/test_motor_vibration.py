@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from calrig.calibration.motor_vibration import Ends, UnreportedTurn, disturbing, end_differences
 from calrig.calibration.poses import Pose
@@ -64,6 +65,18 @@ def test_offsets_gains_and_play_are_no_fault_of_the_motor():
     assert np.abs(differences.mean(axis=0)).max() < 0.7  # the second order of 60 mg is no harmonic's
     assert differences.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.15)
     assert all(disturbing(end_differences(sweep(k)), 1e-4) is None for k in range(100))
+
+
+def test_by_chance_both_ends_together_differ_at_their_nominal_rate():
+    """Of readings that are right but for noise the p-value is uniform."""
+    rng = np.random.default_rng(6)
+    planned = sweep(0)
+    p_values = []
+    for _ in range(200):
+        noise_deg = rng.normal(0.0, NOISE_DEG, len(planned))
+        read = [replace(p, reading_deg=p.target_deg + off) for p, off in zip(planned, noise_deg, strict=True)]
+        p_values.append(end_differences(read).p_value)
+    assert kstest(p_values, "uniform").pvalue > 1e-3
 
 
 def test_what_the_table_turned_by_the_gyros_account_is_no_vibration():
