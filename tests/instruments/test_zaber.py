@@ -15,8 +15,7 @@ from calrig.instruments import drivers
 from calrig.instruments.clock import WallClock
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.stages.zaber import driver as zaber
-from calrig.instruments.stages.zaber.driver import Zaber
-from calrig.instruments.stages.zaber.words import FLAGS
+from calrig.instruments.stages.zaber.driver import FLAGS, Zaber
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 
