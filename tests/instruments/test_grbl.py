@@ -107,6 +107,14 @@ def test_the_place_is_read_in_work_coordinates(controller, stage, report, degree
     assert stage.position_deg() == degrees
 
 
+def test_an_offset_that_came_once_only_is_taken_for_damage(controller, referenced):
+    """A report carries WCO now and then and has no checksum: one digit may have been damaged."""
+    for offset in ("0.000", "0.000", "90.000", "0.000"):
+        controller.report = f"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:{offset},0.000,0.000>"
+        assert referenced.glimpse_deg() == 0.0
+    assert referenced.status().state == "ready"
+
+
 @pytest.mark.parametrize(
     "damaged",
     [

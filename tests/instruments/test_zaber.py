@@ -257,6 +257,14 @@ def test_no_damage_is_taken_for_a_place_and_the_next_command_is_answered(damages
 
 
 @needs_library
+def test_a_reply_whose_checksum_does_not_hold_is_dropped_and_counted(port, stage):
+    reply = "01 1 00 OK IDLE -- 65000"
+    port.push(f"@{reply}:{(1 - sum(reply.encode())) & 255:02X}\r\n".encode())
+    assert stage.glimpse_deg() == 10.0
+    assert stage.faults["crc"] == 1
+
+
+@needs_library
 def test_a_simulated_one_homes_moves_and_stops():
     stage = Zaber(simulated("zaber", clock=LIBRARY_TIME))
     assert stage.status().state == "not_referenced"
