@@ -117,8 +117,8 @@ def calibration_content(
         rig: that the poses were taken on; None where none is known.
         poses: those that count: range and uncertainty follow from those that the result rests on.
         result: of these poses, with the accepted effects taken out where the poses allow it.
-        accepted: effects of the unit and its rig: bias and scale are those beside all of them, and the unit's
-            own are applied in flight.
+        accepted: effects of the unit and its rig: bias and scale are those fitted with all of them, and the
+            unit's own are applied in flight.
         reference: what the rig said of its stage when the poses were measured.
         provenance: of their run, which names the stage's map where the reference is one.
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 SEPARATORS = (",", ";", "\t")
 EXAMINED_BYTES = 1_000_000
-"""Of the rows, by which the decimals are told: what differs further on is told as a bad cell."""
+"""Rows from which the decimal sign is detected: a different one further on is reported as a bad cell."""
 _QUOTED = re.compile(r'"[^"]*"')
 
 
@@ -108,7 +108,7 @@ def _shortened(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """One column: its name, its texts, the line each stands in, and the sign before their decimals."""
+    """One column: its name, its texts, the line of each, and the decimal sign."""
 
     name: str
     texts: Sequence[str]
@@ -157,12 +157,12 @@ MOST_NAMED = 30
 BATCH_CELLS = 50_000
 """Held as texts at once, which take ten times the memory of numbers."""
 TOLD_LINES = 1000
-"""After so many lines again it is told how far the reading is."""
+"""The progress is reported every so many lines."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A header and rows of as many cells; lines count from 1, and a row stands in the line it ends in."""
+    """A header and rows of as many cells; lines count from 1, and a row's line is the one it ends in."""
 
     header: list[str]
     header_line: int
@@ -185,7 +185,7 @@ def read_tables(
     """Reads UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
 
     Cells are separated by commas, or by semicolons or tabs, which allow of decimal commas (`dialect_of`).
-    `progress` is told the share that is read, 0 to 1.
+    `progress` gets the share that is read, 0 to 1.
 
     Yields:
         The rows in the order of the file, some at a time, each time under the same header.
@@ -224,7 +224,7 @@ def _dialect(data: bytes, required: Sequence[str]) -> Dialect:
 
 
 def read_header(line_of_names: bytes, line: int, dialect: Dialect) -> list[str]:
-    """The column names in a header row that stands in this line, checked as `read_tables` does."""
+    """Return the column names of a header row in this line, checked as `read_tables` does."""
     return _header(next(_parsed(line_of_names, 0, line, dialect))[1], line, ())
 
 

@@ -116,7 +116,7 @@ def read_pose_columns(data: bytes) -> tuple[PoseColumns, list[str]]:
 
 
 def read_labelled_poses(data: bytes, labels: Sequence[str]) -> tuple[list[Pose], list[Labels], list[str]]:
-    """The same with columns of text beside them.
+    """Read poses as `read_poses`, with columns of text in addition.
 
     Args:
         data: the file.
@@ -137,7 +137,7 @@ Labels = dict[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Texts:
-    """A column of text: its cells, and the line each stands in."""
+    """A column of text: its cells, and the line of each."""
 
     texts: list[str]
     lines: list[int]
@@ -274,7 +274,7 @@ def read_run(
     Args:
         data: the file.
         unit: serial number of the run's unit.
-        progress: told the share of the file that is read, 0 to 1.
+        progress: gets the share of the file that is read, 0 to 1.
 
     Returns:
         The poses, the axis along the stage's, and what is to be said.

@@ -45,7 +45,7 @@ def write_poses(folder: Path, pieces: Iterable[PackedPoses]) -> list[Path]:
         for number, some in enumerate(_files(pieces)):
             tables = [_table(pa, piece) for piece in some]
             path = folder / f"poses-{number:05d}.parquet"
-            # what is half written has a name that nobody reads
+            # a half-written file has a temporary name
             unfinished = path.with_suffix(".part")
             parquet.write_table(pa.concat_tables(tables, promote_options="default"), unfinished)
             unfinished.rename(path)

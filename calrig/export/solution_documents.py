@@ -63,7 +63,7 @@ def unit_document(
 ) -> dict[str, Any]:
     """Return a unit's calibration with the uncertainty of this solution: it rests on no report of the stage.
 
-    All that the unit does to a vector is in its effects, beside a scale of 1; the bias is its level, where a
+    All that the unit does to a vector is in its effects, with a scale of 1; the bias is its level, where a
     reversal shows it, and 0 where none does: the sensor's axes err at their own elevation, which is bias + θ.
 
     Args:

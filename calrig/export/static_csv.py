@@ -31,7 +31,7 @@ from calrig.export.csv_table import (
 )
 
 PIECE_BYTES = 2_000_000
-"""Small beside a log, large beside what a piece costs."""
+"""Small compared with a log, large compared with the cost of a piece."""
 _PLAIN = b"0123456789+-.eE,\nnaNA"
 _SIGNED_NAN = (b"-n", b"-N", b"+n", b"+N")
 _BOM = b"\xef\xbb\xbf"
@@ -43,7 +43,7 @@ class LogTable:
 
     Attributes:
         header: the name of every column.
-        header_line: where it stands, from 1.
+        header_line: its line, from 1.
         columns: (N,) each, by place in the header, those that were asked for; NaN where blank or `nan`.
     """
 
@@ -54,7 +54,7 @@ class LogTable:
     _lines: list[Sequence[int]]
 
     def line_of(self, row: int) -> int:
-        """The line of the file in which a row stands."""
+        """Return the line of a row in the file."""
         piece = bisect_right(self._first_rows, row) - 1
         return self._lines[piece][row - self._first_rows[piece]]
 
@@ -74,7 +74,7 @@ def read_log_table(
         wanted: whether a column's cells must be numbers and are kept.
         max_rows: more are refused.
         max_bytes: more are refused.
-        progress: told the share that has been read, from 0 to 1.
+        progress: gets the share that has been read, from 0 to 1.
 
     Raises:
         CsvError: as they do; says line and column.
@@ -248,7 +248,7 @@ def read_static(
         accel_range_g: full scale of the accelerometer's counts, in g.
         gyro_range_dps: full scale of the gyro's counts, in degrees per second.
         max_samples: more are refused.
-        progress: told the share of the file that has been read, from 0 to 1.
+        progress: gets the share of the file that has been read, from 0 to 1.
 
     Raises:
         CsvError: the file is not such a table; says line and column.
@@ -302,7 +302,7 @@ def accel_g_of(log: StaticLog) -> FloatArray:
     """(N, 3) the log's accelerometer in g.
 
     Raises:
-        CsvError: an axis is not there, or is in counts of a range that nobody gave.
+        CsvError: an axis is missing, or is in counts without a stated range.
     """
     accel_g = log.axes("accel", "g")
     if accel_g is not None:

@@ -103,7 +103,7 @@ def accelerometer_of(document: Mapping[str, Any]) -> Accelerometer | None:
 
 
 def is_curved(accelerometer: Mapping[str, Any]) -> bool:
-    """Whether it has terms beside its bias and matrix that are not 0."""
+    """Return whether it has quadratic or cubic terms other than 0."""
     terms = [accelerometer.get(name) or [] for name in ("quadratic_g_per_g2", "cubic_g_per_g3")]
     return any(value for values in terms for value in values)
 

@@ -50,24 +50,12 @@ class Samples:
         """The blocks one after the other."""
         if not blocks:
             return cls.empty()
-        return cls(
-            np.concatenate([b.time_s for b in blocks]),
-            np.concatenate([b.accel_g for b in blocks]),
-            np.concatenate([b.gyro_dps for b in blocks]),
-            np.concatenate([b.temperature_c for b in blocks]),
-            np.concatenate([b.angle_deg for b in blocks]),
-        )
+        return cls(*(np.concatenate([getattr(block, name) for block in blocks]) for name in cls.__slots__))
 
     def between(self, from_s: float, to_s: float) -> Samples:
         """The samples with from_s <= time_s < to_s."""
         first, last = np.searchsorted(self.time_s, (from_s, to_s))
-        return Samples(
-            self.time_s[first:last],
-            self.accel_g[first:last],
-            self.gyro_dps[first:last],
-            self.temperature_c[first:last],
-            self.angle_deg[first:last],
-        )
+        return Samples(*(getattr(self, name)[first:last] for name in self.__slots__))
 
     def spanning(self, from_s: float, to_s: float) -> Samples:
         """Return the samples between two times, and at both a sample interpolated between its neighbours."""
@@ -83,7 +71,7 @@ class Samples:
             pair = values[after - 1 : after + 1]
             return np.asarray(pair[:1] + share * (pair[1:] - pair[:1]), dtype=np.float64)
 
-        rest = (of(self.accel_g), of(self.gyro_dps), of(self.temperature_c), of(self.angle_deg))
+        rest = (of(getattr(self, name)) for name in self.__slots__[1:])
         return Samples(np.array([time_s]), *rest)
 
 

@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from calrig.simulator.dialects import SKETCHES, STAGES
+from calrig.simulator.dialects import STAGES
+from calrig.simulator.sketches import SKETCHES
 
 Vector = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -268,7 +269,7 @@ class BoardOptions(Options):
     one rate.
     """
 
-    sketch: Annotated[str, _one_of(SKETCHES)] | None = None
+    sketch: Annotated[str, _one_of(tuple(SKETCHES))] | None = None
     serial: str = Field(default="", max_length=64)
     firmware: str = "calrig simulated"
     max_rate_hz: int = Field(default=1000, ge=1, le=8000)

@@ -1,26 +1,25 @@
 """The dialects there are, by name, and what makes a device that speaks one.
 
-Each module of `stages` and `boards` is one; nothing else lists them. Their names are
-known without importing one, since launching a simulator needs no physics.
+Each module of `stages` is one, and each of `sketches.SKETCHES`. Importing their names imports no physics,
+which launching a simulator does not need.
 """
 
 from __future__ import annotations
 
 import pkgutil
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from calrig.simulator import boards, stages
+from calrig.simulator import stages
+from calrig.simulator.sketches import SKETCHES
 from calrig.simulator.wire import Device
 
 if TYPE_CHECKING:
     from calrig.simulator.bench import Bench
     from calrig.simulator.config import BoardFault, BoardOptions, ImuOptions, StageOptions
     from calrig.simulator.stage import Stage
-
-OWN_SKETCH = "calrig"
 
 
 class Board(Device, Protocol):
@@ -44,29 +43,24 @@ MakesStage = Callable[["StageOptions", "Bench", Callable[[], float]], "Stage"]
 MakesBoard = Callable[["BoardOptions", "ImuOptions", "Bench", Callable[[], float]], Board]
 
 
-def _names(folder: ModuleType) -> tuple[str, ...]:
-    return tuple(found.name.replace("_", "-") for found in pkgutil.iter_modules(folder.__path__))
-
-
-STAGES = _names(stages)
-SKETCHES = tuple(name for name in _names(boards) if name != OWN_SKETCH)
+STAGES = tuple(found.name.replace("_", "-") for found in pkgutil.iter_modules(stages.__path__))
 
 
 def stage_of(driver: str) -> MakesStage:
     """What makes the controller of a driver, one of `STAGES`."""
-    makes: MakesStage = _bound(stages, driver, "STAGE")
+    module = import_module(f"{stages.__name__}.{driver.replace('-', '_')}")
+    makes: MakesStage | None = getattr(module, "STAGE", None)
+    if makes is None:
+        raise TypeError(f"{module.__name__} binds no STAGE, the dialect that it is there for")
     return makes
 
 
 def board_of(sketch: str | None) -> MakesBoard:
     """What makes the board that runs one of `SKETCHES`, or calrig's own."""
-    makes: MakesBoard = _bound(boards, sketch or OWN_SKETCH, "BOARD")
-    return makes
+    if sketch is None:
+        from calrig.simulator.boards.calrig import Board as OwnBoard
 
+        return OwnBoard
+    from calrig.simulator.sketch_board import SketchBoard
 
-def _bound(folder: ModuleType, name: str, what: str) -> Any:
-    module = import_module(f"{folder.__name__}.{name.replace('-', '_')}")
-    makes = getattr(module, what, None)
-    if not callable(makes):
-        raise TypeError(f"{module.__name__} binds no {what}, the dialect that it is there for")
-    return makes
+    return partial(SketchBoard, SKETCHES[sketch])

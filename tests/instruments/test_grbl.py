@@ -108,6 +108,33 @@ def test_the_place_is_read_in_work_coordinates(controller, stage, report, degree
 
 
 @pytest.mark.parametrize(
+    ("number", "word"),
+    [
+        (1, "limit switch"),
+        (2, "soft limit"),
+        (3, "reset"),
+        (4, "probe"),
+        (5, "probe"),
+        (6, "homing"),
+        (7, "door"),
+        (8, "pulling off"),
+        (9, "no limit switch"),
+    ],
+)
+def test_an_alarm_has_the_words_of_its_number(number, word):
+    """gnea/grbl, doc/csv/alarm_codes_en_US.csv."""
+    assert word in ALARMS[number]
+
+
+def test_an_offset_that_came_once_only_is_taken_for_damage(controller, referenced):
+    """A report carries WCO now and then and has no checksum: one digit may have been damaged."""
+    for offset in ("0.000", "0.000", "90.000", "0.000"):
+        controller.report = f"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:{offset},0.000,0.000>"
+        assert referenced.glimpse_deg() == 0.0
+    assert referenced.status().state == "ready"
+
+
+@pytest.mark.parametrize(
     "damaged",
     [
         "Idle|MPos:1.000,0.000,0.000|FS:0,0>",

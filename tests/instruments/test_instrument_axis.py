@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted_stage import Clock, ScriptedStage
 
+from calrig.instruments import standstill
 from calrig.instruments.axis import Axis, Motion, travel_time_s
 from calrig.instruments.errors import Halted, LimitError, PortBlocked, StageError
 
@@ -380,3 +381,8 @@ def test_a_port_that_takes_no_stop_at_all_is_told_of_in_time(axis, stage, clock,
     with pytest.raises(StageError, match=r"took nothing.*cut its motor power"):
         axis.confirm_stopped(timeout_s=2.0)
     assert clock.at_s - began_s == pytest.approx(2.0, abs=0.1)
+
+
+def test_two_reports_of_a_stage_that_creeps_at_half_a_degree_a_second_do_not_agree():
+    assert standstill.agree(20.0, 20.009)
+    assert not standstill.agree(20.0, 20.0 + 0.5 * standstill.LOOKS_APART_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import re
 import struct
@@ -14,6 +15,7 @@ from instrument_fakes import SimulatedEnd, cobs_decode
 from simulated_devices import Uart
 from wire_recordings import BOOT_LOADER_S, in_pieces, recording, starts
 
+from calrig.instruments.boards import adafruit_basic
 from calrig.instruments.drivers import BOARDS, known_devices, open_board
 from calrig.instruments.errors import BoardError
 from calrig.instruments.scan import converse, probes
@@ -87,6 +89,29 @@ def simulated(driver, fault, duration_s):
             yield now_s - BOOT_S, came
 
     return in_pieces(said())
+
+
+@pytest.mark.parametrize(
+    ("driver", "ranges"),
+    [
+        ("i2cdev-raw", (2, 250)),  # i2cdevlib, MPU6050::initialize: ACCEL_FS_2, GYRO_FS_250
+        ("dmp-ypr", (2, 2000)),  # i2cdevlib, MPU6050_6Axis_MotionApps20, dmpInitialize: GYRO_FS_2000
+        ("tkj-kalman", (2, 250)),  # MPU6050.ino, setup: GYRO_CONFIG and ACCEL_CONFIG 0x00
+        ("mpu6050-light", (2, 500)),  # MPU6050::begin(1, 0): gyro 1, accelerometer 0
+        ("tockn", (2, 500)),  # MPU6050::begin: GYRO_CONFIG 0x08, ACCEL_CONFIG 0x00
+        ("adafruit-plotter", (16, 250)),  # plotter.ino, setup: RANGE_16_G, RANGE_250_DEG
+        ("adafruit-basic", (8, 500)),  # basic_readings.ino, setup: RANGE_8_G, RANGE_500_DEG
+    ],
+)
+def test_a_board_has_the_ranges_that_its_sketch_sets(driver, ranges):
+    module = importlib.import_module(f"calrig.instruments.boards.{driver.replace('-', '_')}")
+    assert module.SKETCH.ranges == ranges
+
+
+def test_adafruits_basic_sketch_says_its_ranges():
+    said = "".join(event.text for event in recording("sketch-adafruit-basic"))
+    assert re.findall(r"range set to: \+- ?(\d+)", said)[:2] == ["8", "500"]
+    assert adafruit_basic.SKETCH.ranges == (8, 500)
 
 
 def received(events):

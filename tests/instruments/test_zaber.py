@@ -15,8 +15,7 @@ from calrig.instruments import drivers
 from calrig.instruments.clock import WallClock
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.stages.zaber import driver as zaber
-from calrig.instruments.stages.zaber.driver import Zaber
-from calrig.instruments.stages.zaber.words import FLAGS
+from calrig.instruments.stages.zaber.driver import FLAGS, Zaber
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 
@@ -255,6 +254,14 @@ def test_no_damage_is_taken_for_a_place_and_the_next_command_is_answered(damages
     port.damages = []
     assert stage.position_deg() == microsteps / 6400
     stage.close()
+
+
+@needs_library
+def test_a_reply_whose_checksum_does_not_hold_is_dropped_and_counted(port, stage):
+    reply = "01 1 00 OK IDLE -- 65000"
+    port.push(f"@{reply}:{(1 - sum(reply.encode())) & 255:02X}\r\n".encode())
+    assert stage.glimpse_deg() == 10.0
+    assert stage.faults["crc"] == 1
 
 
 @needs_library

@@ -13,6 +13,7 @@ from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import board_of
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.sketch_board import BOOT_S, SketchBoard
+from calrig.simulator.sketches import Motion, tilt
 
 NUMBER = r"-?\d+\.\d\d"
 LINES = {
@@ -286,3 +287,9 @@ def test_a_rig_makes_the_board_that_is_asked_for():
     rig = SimulatedRig(SimulatorSettings.from_options({"board": {"sketch": "tockn"}}))
     assert isinstance(rig.board, SketchBoard)
     rig.stop()
+
+
+def test_a_sensor_whose_x_points_up_by_thirty_degrees_has_pitch_minus_thirty():
+    """Freescale AN3461, equations 25 and 26: pitch = atan(−Gx/√(Gy² + Gz²)), gravity read as +1 g upward."""
+    still = Motion((math.sin(math.radians(30)), 0.0, math.cos(math.radians(30))), (0.0, 0.0, 0.0), 25.0, 0.0)
+    assert tilt(still) == pytest.approx((0.0, -30.0))

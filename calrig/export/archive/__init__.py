@@ -1,1 +1,1 @@
-"""A unit's archive: all that stands behind its calibrations, in one file that proves itself years later."""
+"""A unit's archive: everything behind its calibrations, in one file that can be verified years later."""

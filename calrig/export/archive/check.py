@@ -357,7 +357,7 @@ class _Look:
             raise DamagedError(name, "is not what was written: its SHA-256 is another")
 
     def _read(self, name: str) -> bytes:
-        """A member; of one that was told to be damaged or missing no second thing is told."""
+        """Return a member; one reported as damaged or missing is not reported again."""
         if name not in self._sound:
             raise _ToldAlready
         return self._archive.read(name)
@@ -416,7 +416,7 @@ class _Look:
 
     @contextmanager
     def _told(self, where: str) -> Iterator[None]:
-        """What goes wrong with a part is told, and the others are looked at."""
+        """Report an error in one part, and check the others."""
         try:
             yield
         except _ToldAlready:

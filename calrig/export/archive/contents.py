@@ -64,7 +64,7 @@ class _Outlet:
         """Nothing is kept back but by `drained`."""
 
     def close(self) -> None:
-        """Whoever asked for the pieces has them."""
+        """Do nothing: the caller has the pieces."""
 
     def drained(self) -> bytes:
         """What has been written since the last time."""
@@ -100,7 +100,7 @@ def packed(members: Iterable[Member], manifest: Callable[[list[Packed]], Member]
 def _write(
     archive: zipfile.ZipFile, outlet: _Outlet, member: Member, written: list[Packed]
 ) -> Iterator[bytes]:
-    info = zipfile.ZipInfo(member.name)  # of 1980, as every file whose time nobody states
+    info = zipfile.ZipInfo(member.name)  # of 1980, as every file without a stated time
     info.compress_type = zipfile.ZIP_DEFLATED
     info.create_system, info.external_attr = _UNIX, _REGULAR_FILE
     content, size = hashlib.sha256(), 0

@@ -48,7 +48,7 @@ def rounded(value: float, place: int) -> str:
 
 
 def with_uncertainty(value: float, uncertainty: float | None) -> tuple[str, str | None]:
-    """A value and its uncertainty; without one the value has four digits, and None stands beside it."""
+    """A value and its uncertainty; without one, the value with four digits, and None."""
     if uncertainty is None or not uncertainty > 0.0:
         return by_itself(value, 4), None
     place = place_of(uncertainty)
@@ -296,7 +296,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What is left of each pose after something was taken out, degrees, in the order of the poses."""
+    """The residual of each pose after one correction, degrees, in the order of the poses."""
 
     title: str
     left_deg: tuple[float, ...]
@@ -305,7 +305,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """What is left of each pose, step by step: as it came, by bias and scale, then effect by effect."""
+    """The residual of each pose, step by step: uncorrected, by bias and scale, then effect by effect."""
 
     elevation_deg: tuple[float, ...]
     approach: tuple[int, ...]

@@ -186,11 +186,11 @@ class Sources:
     Attributes:
         poses: of the run, excluded ones too.
         before: the revision in force until this one was; None where there was none.
-        came_with: the last one before of another run, with which the unit came in; None likewise.
+        came_with: the last one before of another run, with which the unit came in; None if there was none.
         of_stage: effects of the rig's that this revision rests on.
-        limit: that the verdict names, as it was when the revision was made; None where nobody knows.
+        limit: that the verdict names, as it was when the revision was made; None if unknown.
         entries: of the audit trail, about this revision, oldest first.
-        item: what was said of the unit; None where nobody did.
+        item: the unit as received; None if not stated.
         gone: what it rests on that counts no more, such as a run that was voided; a sentence each.
     """
 

@@ -45,7 +45,7 @@ class Measured:
     Attributes:
         document: CONTRACT section 6.
         came_with: the document of the revision that the unit came with; None where it is found as it reads.
-        of_stage: effects of the rig's that were taken out beside the unit's own.
+        of_stage: effects of the rig that were taken out in addition to the unit's own.
     """
 
     poses: Sequence[Pose]
@@ -187,7 +187,7 @@ def standards_of(document: Document, measured_at: datetime | None) -> tuple[Stan
 
     Args:
         document: CONTRACT section 6.
-        measured_at: when it was measured, which a due date is held against.
+        measured_at: when it was measured, with which a due date is compared.
     """
     provenance = document["provenance"]
     rig = provenance.get("rig") or {}
@@ -249,7 +249,7 @@ def traceable(document: Document) -> str:
 
 
 def stated_reference(document: Document) -> Reference | None:
-    """What the stage was worth to a calibration document; None where nobody said, or it is solved jointly."""
+    """Return the reference of a calibration document; None if not stated, or in a joint solution."""
     by_map = document["uncertainty"].get("reference")
     if by_map is not None:
         return ReferenceFigures.model_validate(by_map).reference

@@ -45,7 +45,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading and what stands below it."""
+    """A heading and the blocks below it."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -249,7 +249,7 @@ class Sheet:
     """The whole of it, as text.
 
     Attributes:
-        running: what stands at the head of every page beside its number.
+        running: the head of every page, next to its number.
         stamp: what a reader must not miss; None where there is nothing.
         end: the last line.
     """

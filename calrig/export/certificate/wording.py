@@ -178,7 +178,7 @@ def asks(limit: Limit | None) -> tuple[str, ...]:
 
 
 def software(version: str) -> tuple[str, ...]:
-    """What shows that the program does what it should: the tables that it is held against, by their names."""
+    """Return the evidence that the program is correct: the names of the tables that it is tested against."""
     return (
         f"calrig {version} is tested as a whole before each change of it: against independent programs "
         "(noise, filters, uncertainty), simulated rigs of known truth, and public logs of real devices.",

@@ -253,7 +253,7 @@ def dcc_of(said: Certificate, document: bytes, country: str | None = None) -> by
     Args:
         said: the certificate.
         document: the calibration document as issued.
-        country: of the laboratory, two letters of ISO 3166-1; None where nobody stated it.
+        country: of the laboratory, two letters of ISO 3166-1; None if not stated.
     """
     for prefix, namespace in (("dcc", DCC), ("si", SI), ("xsi", _INSTANCE)):
         ET.register_namespace(prefix, namespace)

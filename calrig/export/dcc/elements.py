@@ -9,14 +9,13 @@ from datetime import date
 from xml.etree import ElementTree as ET
 
 from calrig.calibration.uncertainty import percent
+from calrig.estimation.angles import STANDARD_GRAVITY_MPS2
 from calrig.export.certificate.content import NOT_STATED, Certificate, Quantity, Row
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 LANGUAGE = "en"
 Content = ET.Element | str | None
 
-STANDARD_GRAVITY = 9.80665
-"""m/s²; calrig's mg are thousandths of it."""
 UNITS: dict[str, tuple[str, float]] = {
     "": (r"\one", 1.0),
     "°": (r"\degree", 1.0),
@@ -30,10 +29,10 @@ UNITS: dict[str, tuple[str, float]] = {
     "°/°³": (r"\degree\tothe{-2}", 1.0),
     "1/°C": (r"\degreecelsius\tothe{-1}", 1.0),
     "%/°C": (r"\percent\degreecelsius\tothe{-1}", 1.0),
-    "mg": (r"\metre\second\tothe{-2}", 1e-3 * STANDARD_GRAVITY),
-    "mg/°C": (r"\metre\second\tothe{-2}\degreecelsius\tothe{-1}", 1e-3 * STANDARD_GRAVITY),
-    "mg/g²": (r"\metre\tothe{-1}\second\tothe{2}", 1e-3 / STANDARD_GRAVITY),
-    "mg/g³": (r"\metre\tothe{-2}\second\tothe{4}", 1e-3 / STANDARD_GRAVITY**2),
+    "mg": (r"\metre\second\tothe{-2}", 1e-3 * STANDARD_GRAVITY_MPS2),
+    "mg/°C": (r"\metre\second\tothe{-2}\degreecelsius\tothe{-1}", 1e-3 * STANDARD_GRAVITY_MPS2),
+    "mg/g²": (r"\metre\tothe{-1}\second\tothe{2}", 1e-3 / STANDARD_GRAVITY_MPS2),
+    "mg/g³": (r"\metre\tothe{-2}\second\tothe{4}", 1e-3 / STANDARD_GRAVITY_MPS2**2),
 }
 """Units as they are printed: in D-SI, and what one of them is in that."""
 _NO_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -200,7 +199,7 @@ def administrative_data(said: Certificate, country: str | None) -> ET.Element:
 
     Args:
         said: the certificate.
-        country: of the laboratory, two letters of ISO 3166-1; None where nobody stated it.
+        country: of the laboratory, two letters of ISO 3166-1; None if not stated.
     """
     return dcc(
         "administrativeData",

@@ -26,7 +26,7 @@ class _Exporter:
         file_name: of a file that a person saves.
         media_type: of the text (RFC 6838).
         contents: what the file holds, for the table of the documentation; Markdown without a full stop.
-        about_one_axis: what it holds of a calibration about one axis alone; likewise.
+        about_one_axis: what it holds of a calibration about one axis alone, in the same form.
     """
 
     name: str

@@ -1,1 +1,1 @@
-"""What boards print or answer: a module each, named after the sketch it runs, whose `BOARD` it binds."""
+"""Boards with a protocol of their own: calrig's. Those that print text are in `sketches`."""

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
-from calrig.instruments.stages.zaber.words import BAUDRATE
 
 if TYPE_CHECKING:
     from calrig.instruments.stages.zaber.driver import Zaber
 
+BAUDRATE = 115200
 REPLY = re.compile(r"@(\d{2}) 0 OK (?:IDLE|BUSY) (?:--|[A-Z]{2}) (\d+(?:\.\d+)*)(?::[0-9A-F]{2})?")
 
 

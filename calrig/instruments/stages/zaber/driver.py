@@ -20,7 +20,7 @@ from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire, unanswered
-from calrig.instruments.stages.zaber.words import BAUDRATE, UNREFERENCED, flag_words
+from calrig.instruments.stages.zaber import BAUDRATE
 from calrig.instruments.types import StageIdentity, StageStatus
 
 REPLY_TIMEOUT_S = 0.5
@@ -36,6 +36,40 @@ STOP_REPLY = re.compile(r"@\d{2} 1 (?:OK|RJ) (?:IDLE|BUSY) (?:--|[A-Z]{2}) \S+")
 DAMAGED = "BADCOMMAND"
 """The refusal of what cannot be read: a NUL byte, for one, escapes the checksum."""
 MOTION = re.compile(r"/\d+ \d+ \d+ (?:move|home)\b.*")
+
+UNREFERENCED = ("WR", "WH")
+FLAGS = {
+    "FF": "critical system error",
+    "FN": "stage not supported",
+    "FZ": "stage inactive",
+    "FH": "emergency stop: driver off",
+    "FV": "supply voltage out of range: driver off",
+    "FO": "driver off",
+    "FC": "inrush current too high",
+    "FM": "motor too hot",
+    "FD": "driver off: motor power was cut, or it overheated",
+    "FQ": "encoder error",
+    "FI": "encoder index error",
+    "FA": "analog encoder out of step",
+    "FR": "overdrive limit exceeded",
+    "FS": "stalled and stopped",
+    "FB": "stream out of bounds",
+    "FP": "path deviation",
+    "FE": "limit sensor error",
+    "FT": "excessive twist",
+    "WL": "unexpected limit switch",
+    "WV": "supply voltage out of range",
+    "WT": "controller hot",
+    "WS": "stalled, and recovered",
+    "WM": "turned by force while it stood",
+    "WP": "invalid calibration",
+    "WR": "no reference position",
+    "WH": "not homed",
+    "NC": "turned by its knob",
+    "NI": "motion interrupted",
+    "NJ": "joystick being set up",
+}
+"""Warning flags of the Zaber ASCII protocol manual."""
 
 
 class NoAnswer(StageError):  # noqa: N818 (what it is)
@@ -269,3 +303,8 @@ def _library() -> Any:
             f"driver 'zaber' needs the maker's library: run `pip install 'calrig[zaber]'` ({error})"
         ) from error
     return maker
+
+
+def flag_words(flags: list[str]) -> str:
+    """The flags with what they mean."""
+    return ", ".join(f"{flag} {FLAGS.get(flag, 'a flag this driver does not know')}" for flag in flags)

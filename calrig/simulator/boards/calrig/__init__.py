@@ -183,8 +183,5 @@ class Board:
         return self._noise.randbytes(len(said)) if self.fault == "garbage" else said
 
 
-BOARD = Board
-
-
 def _error(text: str) -> bytes:
     return packet(ERROR, text.encode())
