@@ -1,4 +1,4 @@
-"""A rig held against its check unit: each check, when the next is due, which runs a failure puts in doubt."""
+"""Use cases of a rig's check standard: each check, when the next is due, the runs that a failure affects."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def with_doubts(store: Store, runs: Sequence[Run]) -> list[Run]:
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """The runs of a check unit on its rig, and what they say; `figures` is empty where nobody can tell.
+    """The runs of a check standard on its rig, and their charts; `figures` is empty if nothing is known.
 
     Attributes:
         places: in the histories.
@@ -178,7 +178,7 @@ def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Do
 
 
 def check_chart(store: Store, rig: str) -> tuple[list[datetime], dict[str, list[float]], list[float]]:
-    """When each check was, its moving averages by figure, and the limit they were held against.
+    """Return when each check was, its moving averages by figure, and their control limit.
 
     Raises:
         Unknown: the rig has no check unit.
@@ -211,7 +211,7 @@ def _says(named: CheckUnit, state: str, due_at: datetime, *, overdue: bool) -> s
         return f"Check unit {named.unit} fails: the rig, or the unit, has changed since it last passed. {due}"
     return (
         f"Nothing can be said yet: it takes two runs of {named.unit} on this rig, and units that were "
-        f"calibrated more than once, to know what clamping anew adds. {due}"
+        f"calibrated more than once, to know what remounting adds. {due}"
     )
 
 

@@ -1,11 +1,8 @@
-"""Who carries the pieces of a re-analysis out: processes of this machine, or whoever else takes them.
+"""Re-analyse every completed run with today's catalogue: screen all, diagnose those that stand out.
 
-One error map a rig from all its runs: what its units have in common, summed up as runs come by.
-
-A million runs are no joint solution: what the units themselves have in common is in this mean as well. The
-rig's own map (`calrig.analysis.error_map`) is solved for, from its newest runs.
-
-Every completed run once more by today's catalogue: all are screened, those that stand out diagnosed.
+The work is distributed to processes of this machine or to other workers. The runs are summed into one mean
+error map a rig as they are read. A million runs are no joint solution: the mean also holds what the units
+have in common. The rig's own map (`calrig.analysis.error_map`) is solved from its newest runs.
 """
 
 from __future__ import annotations

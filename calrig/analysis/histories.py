@@ -1,13 +1,9 @@
-"""The histories of all units side by side: arrays of what their runs gave, and what changed between them.
-
-What changed between two runs, in sentences.
-
-What changed from each run of a unit to the next: CONTRACT section 2's `changes`.
-"""
+"""Use cases of histories: the runs of all units side by side, what changed between runs, in sentences."""
 
 from __future__ import annotations
 
 import math
+import pickle
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -117,7 +113,7 @@ POOLED = 5_000
 
 
 def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
-    """Of units: whether one has changed is held against how all others repeat.
+    """Return the histories of units; a change is tested against how all units repeat.
 
     Args:
         store: where they are.
@@ -125,11 +121,7 @@ def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
     """
     rows = store.comparison(serials, latest=POOLED)
     units, day, figures = _arrays(store, rows)
-    packed = tuple(
-        _Packed(*(np.ascontiguousarray(getattr(runs, name)).tobytes() for name in Runs.__slots__))
-        for runs in figures
-    )
-    return Histories(rows, units, day, figures, _changes(packed))
+    return Histories(rows, units, day, figures, _changes(pickle.dumps(figures)))
 
 
 def change_between(store: Store, before: ComparisonRow, now: ComparisonRow) -> tuple[Changes, int]:
@@ -188,27 +180,10 @@ def _arrays(store: Store, rows: list[ComparisonRow]) -> tuple[list[str], FloatAr
     return serials, day, (figures[0], figures[1])
 
 
-@dataclass(frozen=True, slots=True)
-class _Packed:
-    """`Runs` that can be looked up."""
-
-    unit: bytes
-    rig: bytes
-    day: bytes
-    value: bytes
-    std: bytes
-    stage_variance: bytes
-
-    def runs(self) -> Runs:
-        unit, rig, day = (np.frombuffer(one, dtype=np.intp) for one in (self.unit, self.rig, self.day))
-        value, std, stage = (np.frombuffer(one) for one in (self.value, self.std, self.stage_variance))
-        return Runs(unit, rig, day, value, std, stage)
-
-
 @lru_cache(maxsize=4)
-def _changes(figures: tuple[_Packed, ...]) -> Changes:
-    """Kept while the store stays as it is: a page asks for the same many times."""
-    return changes(tuple(packed.runs() for packed in figures))
+def _changes(figures: bytes) -> Changes:
+    """Return the changes of pickled `Runs`; cached, because a page asks many times for the same ones."""
+    return changes(pickle.loads(figures))  # noqa: S301 (pickled by the caller, never stored)
 
 
 def _counts(rows: list[ComparisonRow]) -> IntArray:
@@ -241,15 +216,15 @@ STANDS_OUT = 3.0
 
 
 def difference_in_words(differences: Sequence[Differences], k: int, verdict: str) -> str:
-    """The k-th difference of bias and scale: how far each moved, and what that is held against."""
+    """Say the k-th difference of bias and scale: how far each moved, and its uncertainty."""
     named = zip(FIGURE_NAMES, differences, strict=True)
     known = [(name, unit, d) for (name, unit), d in named if math.isfinite(d.value[k])]
     if verdict == "not_known":
         moved = (f"{name} by {plus_minus(d.value[k], d.type_a_std[k], unit)}" for name, unit, d in known)
         by = " and ".join(moved) or "nothing that is known"
         return (
-            f"Moved: {by} (the noise of both runs alone). What clamping anew and "
-            "the day add is not known yet: that takes more units that were calibrated twice."
+            f"Moved: {by} (the noise of both runs alone). What remounting and the "
+            "day add is not known yet: that takes more units that were calibrated twice."
         )
     tested = [one for one in known if math.isfinite(one[2].std[k])]
     if verdict == "unchanged":

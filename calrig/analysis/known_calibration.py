@@ -1,4 +1,4 @@
-"""What a unit is known to read: its calibration in force, and how a new one is compared with it."""
+"""A unit's calibration in force, and the doubts about a new one that is compared with it."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ class KnownCalibration:
 def known_calibration(store: Store, unit: str) -> KnownCalibration | None:
     """Return the unit's calibration in force, or the newest that was superseded; None without either.
 
-    A draft that nobody has released says nothing of the unit, nor does a revision of a run that was voided
-    or moved to another unit.
+    Drafts that were not released do not count, nor do revisions of a run that was voided or moved to another
+    unit.
     """
     released = [one for one in store.revisions(unit) if one.status in ("in_force", "superseded")]
     released.sort(key=lambda one: one.status != "in_force")

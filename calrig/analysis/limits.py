@@ -1,14 +1,9 @@
-"""Limits as people give them, in a file or over HTTP, and what they mean for a run that has yet to begin.
-
-Runs that somebody looks for, by their verdict as well.
-"""
+"""Use cases of limits: replace them, check whether a plan can pass them, search runs by verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import datetime
 from types import MappingProxyType
 
 import numpy as np
@@ -21,20 +16,20 @@ from calrig.model.plan import Plan
 from calrig.model.result import Reference
 from calrig.model.verdict import Limit
 from calrig.settings import LimitSettings, RigSettings, Settings
-from calrig.store import Run, Store
+from calrig.store import Store
 from calrig.store.errors import StoreError
 from calrig.store.records import Document
 from calrig.store.runs import Sought
-from calrig.store.verdicts import Judged
+from calrig.store.verdicts import Judged, RunPage
 
 
 def limit_of(given: LimitSettings) -> Limit:
-    """The limit that somebody wrote."""
+    """Return the limit with these settings."""
     return Limit(**given.model_dump())
 
 
 def keep_configured(settings: Settings, store: Store) -> None:
-    """Has the store hold the limits of the configuration, where it gives any, for all who read it."""
+    """Store the limits of the configuration, if it has any, for everything that reads the store."""
     if settings.limit:
         found = f"as {settings.file} has them"
         store.replace_limits([limit_of(one) for one in settings.limit], who=None, reason=found)
@@ -43,12 +38,12 @@ def keep_configured(settings: Settings, store: Store) -> None:
 def replace(
     store: Store, given: Sequence[LimitSettings], *, who: str | None, kept_in: str | None
 ) -> list[Limit]:
-    """Puts limits in the place of those there are.
+    """Replace all limits.
 
     Args:
         store: where they are kept.
         given: the new ones, in the order that they are tried in.
-        who: changes them; None where nobody is known by name.
+        who: user who changes them; None if unknown.
         kept_in: the file that gives the limits; None where it does not.
 
     Raises:
@@ -56,7 +51,7 @@ def replace(
         Invalid: two have one name.
     """
     if kept_in is not None:
-        raise Conflict(f"the limits stand in {kept_in} ([[limit]]): change them there and start calrig again")
+        raise Conflict(f"the limits are kept in {kept_in} ([[limit]]): change them there and restart calrig")
     names = [one.name for one in given]
     for place, name in enumerate(names):
         if name in names[:place]:
@@ -69,7 +64,7 @@ def replace(
 def cannot_pass_on(
     rig: RigSettings, unit: str, plan: Plan, store: Store, maps: Mapping[str, Document] = MappingProxyType({})
 ) -> list[str]:
-    """Why no unit can pass its limits on a rig by a plan, said before anything moves; empty where one can.
+    """Return why no unit can pass its limits on a rig by a plan; empty if one can.
 
     Args:
         rig: of the run to come.
@@ -96,34 +91,19 @@ def cannot_pass_on(
     return cannot_pass(limit, reference, theta_deg)
 
 
-@dataclass(frozen=True, slots=True)
-class FoundRuns:
-    """A page of runs.
-
-    Attributes:
-        items: the newest first.
-        next_cursor: of the next page; None after the last.
-        back_to: when the oldest run was made that was looked at, found or not; None where there was none.
-    """
-
-    items: list[Run]
-    next_cursor: str | None
-    back_to: datetime | None
-
-
 def found_runs(
     store: Store, sought: Sought, judged: Judged | None, limit: int, cursor: str | None
-) -> FoundRuns:
-    """A page of runs as of `Store.sought_runs`; with a verdict it may be short, and is not the last for that.
+) -> RunPage:
+    """Return a page of runs as `Store.sought_runs` does; with a verdict a short page need not be the last.
 
     Raises:
         ValueError: as there.
     """
     if judged is None:
         items, next_cursor = store.sought_runs(sought, limit=limit, cursor=cursor)
-        return FoundRuns(items, next_cursor, items[-1].created_at if items else None)
+        return RunPage(items, next_cursor, items[-1].created_at if items else None)
     found = store.judged_runs(sought, judged, limit=limit, cursor=cursor)
     if found.judged_whole:
-        with suppress(StoreError):  # it is for the next search
+        with suppress(StoreError):  # it only makes the next search faster
             store.judge(found.judged_whole)
-    return FoundRuns(found.items, found.next_cursor, found.back_to)
+    return found

@@ -21,8 +21,7 @@ from calrig.analysis.solution_drafts import solution_changes, solved_content, so
 from calrig.analysis.stored_runs import checked_reason, stored_run
 from calrig.calibration.poses import Pose
 from calrig.calibration.results import FittedResult
-from calrig.calibration.uncertainty import REMOUNT_LIMIT_DEG, limit_for, to_dicts
-from calrig.calibration.verdict import verdict
+from calrig.calibration.uncertainty import REMOUNT_LIMIT_DEG, limit_for, make_verdict, to_dicts
 from calrig.export.calibration_document import calibration_content
 from calrig.model.result import Doubt, Result
 from calrig.model.verdict import Verdict
@@ -297,7 +296,7 @@ class Issuer:
         """What a run would give its unit, with its doubts and its verdict."""
         remount_limit_deg = self._releases.remount_limit_deg(new.rig)
         doubts = doubts_about(self._store, new, result, content, remount_limit_deg)
-        judged = verdict(
+        judged = make_verdict(
             result.with_doubts(doubts),
             diagnosis,
             limit=limit_for(self._store.limits(), new.unit, new.rig),

@@ -11,13 +11,13 @@ import numpy as np
 from calrig.analysis.calibration_in_force import why_none
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.results import gyro_of
+from calrig.analysis.solutions import usable_map
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.poses import MOUNT_DEG, Pose, of_first_mount
 from calrig.calibration.regression import ApplyError
 from calrig.calibration.results import FittedResult, apply_calibration, numbers_of
-from calrig.calibration.separation import MapError, StageMap, with_map
-from calrig.calibration.uncertainty import limit_for, reference_figures
-from calrig.calibration.verdict import verdict
+from calrig.calibration.separation import with_map
+from calrig.calibration.uncertainty import limit_for, make_verdict, reference_figures
 from calrig.estimation.angles import wrap_deg
 from calrig.export.calibration_document import line_of
 from calrig.model.result import Doubt, Reference
@@ -42,7 +42,7 @@ def solved_run(store: Store, unit: str, solution: StoredSolution) -> Run:
     """
     if unit not in solution.found.calibrations:
         raise Unknown(f"solution {solution.id} has no unit {unit!r}")
-    _stage_map(solution)
+    usable_map(solution)
     runs = [stored_run(store, run_id) for run_id in solution.found.basis.runs]
     if changed := solution_changes(store, solution):
         raise Conflict(f"{' '.join(changed)} Solve again, and draft that solution.")
@@ -90,7 +90,7 @@ def solved_poses(solution: StoredSolution, run: Run, poses: Sequence[StoredPose]
         else one.pose
         for one in poses
     ]
-    mapped = with_map(placed, _stage_map(solution))
+    mapped = with_map(placed, usable_map(solution))
     return [replace(one, pose=pose) for one, pose in zip(poses, mapped, strict=True)]
 
 
@@ -128,7 +128,7 @@ def solved_verdict(
     poses: Sequence[StoredPose],
     doubts: Sequence[Doubt],
 ) -> Verdict:
-    """The solution held against the limits, by what it leaves of the poses of its run.
+    """Test a solution against the limits, by the residuals of its run's poses.
 
     What the solution is uncertain of is one smooth curve over the range; a limit's risk takes of it the line
     whose covariance the document has.
@@ -145,7 +145,7 @@ def solved_verdict(
         )
     except ApplyError as error:
         raise Conflict(f"run {run.id}: {error}") from error
-    return verdict(
+    return make_verdict(
         _as_one_calibration(result).with_doubts(doubts),
         limit=limit_for(store.limits(), content["unit"], content["rig"]),
         calibration=content,
@@ -153,7 +153,7 @@ def solved_verdict(
 
 
 def _as_one_calibration(result: FittedResult) -> FittedResult:
-    """A result whose bias and scale are nothing without the effects: 0 and 1 that nobody fitted."""
+    """Return a result whose bias and scale mean nothing without the effects: 0 and 1, not fitted."""
     return result.model_copy(
         update={
             "rms_calibrated_deg": result.rms_with_effects_deg,
@@ -162,15 +162,6 @@ def _as_one_calibration(result: FittedResult) -> FittedResult:
             "over_range": None if result.over_range is None else replace(result.over_range, covariance=None),
         }
     )
-
-
-def _stage_map(solution: StoredSolution) -> StageMap:
-    try:
-        return StageMap.from_document(solution.found.stage_map)
-    except MapError as error:
-        advice = solution.found.document.get("advice")
-        helps = "" if advice is None else f": {advice['says']}"
-        raise Conflict(f"the map of solution {solution.id} {error}{helps}") from error
 
 
 def _clamped_deg(store: Store, run: Run) -> float:

@@ -1,7 +1,4 @@
-"""A run's poses with what its samples say of the gyro's three axes, as a file of poses has it in columns.
-
-Stored runs of one rig as the joint solution takes them, and the solution as it is kept.
-"""
+"""Solve stored runs of one rig jointly: gather their poses with the gyro columns, make the solution."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ import numpy as np
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.stored_runs import axis_of, counted_poses, ended_run, limits_of
 from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, MOUNT_DEG, Pose
-from calrig.calibration.separation import MountedPoses
+from calrig.calibration.separation import MapError, MountedPoses, StageMap
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
 from calrig.model.solution import Frame
@@ -25,6 +22,7 @@ from calrig.store.solved import Basis, Solved
 
 if TYPE_CHECKING:
     from calrig.store import Store
+    from calrig.store.solutions import StoredSolution
 
 
 def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
@@ -48,7 +46,7 @@ def poses_with_gyro(store: Store, run_id: str) -> list[Pose]:
 
 
 def _of_samples(store: Store, run_id: str, poses: list[Pose], indices: Sequence[int]) -> list[Pose]:
-    """The poses as they are, where their samples are not stored or their clock began anew."""
+    """Return the poses unchanged if their samples are not stored or their clock restarted."""
     whole = store.samples(run_id)
     dwells = [store.samples(run_id, index) for index in indices]
     if (
@@ -91,8 +89,8 @@ class SolutionRequest:
         units: all calibrations that count of these units, beside the runs named.
         rig: the one rig of the runs; alone, all calibrations that count on it.
         linear: whether the units are stated to have no quadratic and cubic terms.
-        periods_deg: of gears, where somebody knows them.
-        seat_std_deg: how far one clamping of a face scatters from the next, where somebody knows it.
+        periods_deg: of gears, as far as they are known.
+        seat_std_deg: repeatability of one clamping of a face to the next, if it is known.
         frame: of units clamped by several faces, whose their matrix is: `sensor` or `faces`.
         limits_deg: of the stage, which advice keeps to; without them those that the last run was made under.
     """
@@ -178,6 +176,20 @@ def answer(asked: SolutionInputs, progress: Callable[[float], None] = lambda _: 
         stage_map=stage_map_document(solution, asked.rig),
         poses=pose_residuals(solution),
     )
+
+
+def usable_map(solution: StoredSolution) -> StageMap:
+    """Return the stage map of a stored solution.
+
+    Raises:
+        Conflict: it cannot be used, why, and which mounts would help.
+    """
+    try:
+        return StageMap.from_document(solution.found.stage_map)
+    except MapError as error:
+        advice = solution.found.document.get("advice") or {}
+        helps = f": {advice['says']}" if advice.get("says") else ""
+        raise Conflict(f"the map of solution {solution.id} {error}{helps}") from error
 
 
 def _runs(store: Store, wanted: SolutionRequest) -> list[Run]:

@@ -1,9 +1,7 @@
-"""The guard of a rig's map: its check unit, or whichever unit came back to the rig.
+"""Use cases of a rig's stage map: which one is in force, what a run stores of it, and whether it is valid.
 
-The stage's map that a rig's elevations rest on: which is in force, and what a run keeps of it.
-
-A map that somebody put in force (`POST /api/rigs/{name}/map`) goes before the file that the configuration
-names; once it is withdrawn, the file counts again.
+A map that was put in force (`POST /api/rigs/{name}/map`) precedes the file that the configuration names. Once
+it is withdrawn, the file is in force again.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.solutions import mounted
+from calrig.analysis.solutions import mounted, usable_map
 from calrig.calibration.separation import MapCheck, MapError, StageMap, checked, in_words
 from calrig.calibration.uncertainty import deg, percent
 from calrig.settings import RigSettings, Settings, SettingsError
@@ -33,7 +31,7 @@ def holds(store: Store, rig: str, kept: Document) -> Document:
     """Whether the map in force still fits, by the newest run that can tell.
 
     A run of the check unit tells where the rig has one; else the newest of any unit that was on the rig when
-    the map was made, or since. The earliest such run is what the newest is held against.
+    the map was made, or since. The newest such run is compared with the earliest.
 
     Args:
         store: has the runs.
@@ -89,7 +87,7 @@ def _document(now: Run, before: Run, found: MapCheck) -> Document:
         says = (
             f"The map has moved: by {told}, the stage is off by up to {largest}, which noise and the "
             f"map's uncertainty give in {percent(found.p_value)} of cases. Clamp a unit at three angles, and "
-            "solve anew."
+            "solve again."
         )
     else:
         says = f"The map holds: by {told}, nothing is off by more than {largest}."
@@ -178,12 +176,7 @@ def put_in_force(store: Store, rig: str, solution_id: str, *, who: str | None) -
         raise Conflict(
             f"solution {solution_id} is of rig {solution.found.rig!r}: each stage has a map of its own"
         )
-    try:
-        StageMap.from_document(solution.found.stage_map)
-    except MapError as error:
-        advice = solution.found.document.get("advice") or {}
-        helps = f": {advice['says']}" if advice.get("says") else ""
-        raise Conflict(f"the map of solution {solution_id} {error}{helps}") from error
+    usable_map(solution)
     return store.put_stage_map(rig, solution_id, solution.found.stage_map, who=who)
 
 

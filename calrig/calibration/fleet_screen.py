@@ -1,22 +1,16 @@
-"""What the screen of a fleet scans for in each run: a step, a cycle in the order of poses, a wave.
+"""Screen many runs at once for those in which a diagnosis could find an effect.
 
-Poses of many runs one after the other in arrays: what a million runs are read and screened in.
+The poses of all runs are packed into arrays, and runs of one number of poses are worked on together: bias and
+scale, then the residual's squares along a fixed set of contrasts. A contrast is a direction in which an
+effect of the catalogue, or an unnamed one, would show: approach, move, temperature, time, elevation, steps,
+cycles. All contrasts have the same critical value, so that together they pass at most a share `LEVEL` of runs
+whose noise is normal and independent from pose to pose, whatever their layout (Bonferroni's bound). Under
+that null hypothesis the share R² of the residual's squares along a contrast of d columns has the exact
+distribution B(d/2, (ν − d)/2), ν the residual's degrees of freedom (Draper & Smith, Applied Regression
+Analysis, 1998, section 6.1). Noise that is correlated from pose to pose passes the screen: only a diagnosis,
+which models it, can distinguish it from an effect.
 
-Bias and scale of many runs at once, as `calrig.calibration.fit` has them of one.
-
-What the screen of a fleet looks along: runs of one number of poses as matrices, and their contrasts.
-
-The screen of a fleet: of a million runs, those in which a diagnosis could find something.
-
-Each run's residual about its own line is held against a fixed set of contrasts: directions in which an effect
-of the catalogue, or one without a name, would show. All contrasts have the same bar, so that together they
-pass at most a share `LEVEL` of runs whose noise is normal and independent from pose to pose, whatever their
-layout (Bonferroni's bound: no distribution is assumed of contrasts that are alike). Under that null the share
-R² of the residual's squares along a contrast of d columns has the exact distribution B(d/2, (ν − d)/2), ν the
-residual's degrees of freedom (Draper & Smith, Applied Regression Analysis, 1998, section 6.1). Noise that is
-correlated from pose to pose stands out: only a diagnosis, which models it, can tell it from an effect.
-
-What the diagnosis does not judge, the screen does not either: the first pose of a run, and a pose gone wrong.
+As in the diagnosis, the first pose of a run and outliers are not tested.
 """
 
 from __future__ import annotations
@@ -476,8 +470,8 @@ def _judged(values: npt.NDArray[np.floating], base: Sequence[Float32]) -> Float3
     """(R, m) what the base leaves of values over their size, without what is far beyond the others of a run.
 
     Values beyond `OUTLIER_STD` times the spread are brought back to it. One of them draws the base towards
-    itself and hides behind that, so the base is fitted to what is left of it, and all are held against that,
-    anew.
+    itself and hides behind that, so the base is fitted to the cut values, and all values are compared with
+    that fit again.
     """
     size = np.maximum(np.abs(values).max(axis=1), np.finfo(np.float64).tiny)[:, None]
     left = _less(values / size, base)

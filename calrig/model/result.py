@@ -63,7 +63,7 @@ class Reference:
     `distribution` is that of the error at one angle: a limit from a data sheet, ±a, is rectangular with
     std_deg = a/√3; a certificate's U/k is normal.
 
-    Of kind `map` it is what a stage's map was worth to certain poses (`stage_reference.map_reference`):
+    Of kind `map` it is what a stage's map was worth to certain poses (`stage_map.map_reference`):
     std_deg of a calibrated elevation, and `line_covariance` of the line's offset (deg) and slope that its
     error is taken for.
     """

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from calrig.calibration.poses import Filtering, Pose
 from calrig.calibration.separation import StageMap
-from calrig.calibration.verdict import verdict
+from calrig.calibration.uncertainty import make_verdict
 from calrig.estimation.kalman import KalmanNoise
 from calrig.model.result import Reference, Result
 from calrig.model.run import Progress, Status, Suspect, Voided
@@ -63,7 +63,7 @@ class Run:
         if self.result is None:
             return None
         how = how_judged(self.plan, self.faults)
-        return verdict(self.result, self.diagnosis, limit=self.limit, **how)
+        return make_verdict(self.result, self.diagnosis, limit=self.limit, **how)
 
 
 class HowJudged(TypedDict):

@@ -15,6 +15,7 @@ from typing import Any
 from sqlalchemy import BigInteger, Dialect, Integer, String, TypeDecorator, text
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
+from calrig.model.verdict import Figures
 from calrig.store.checksums import CheckedJson
 from calrig.store.errors import Unreadable
 
@@ -130,10 +131,10 @@ class CalibrationTable(SQLModel, table=True):
     crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
-class VerdictFiguresTable(SQLModel, table=True):
-    """What a run's verdict follows from (`calibration.verdict_figures`), and which program text says so.
+class VerdictFiguresTable(Figures, SQLModel, table=True):
+    """A run's `calrig.model.verdict.VerdictFigures`, and the hash of the program text that computed them.
 
-    Written with the run's row by `calrig.store.verdicts`.
+    Written with the run's row by `calrig.store.verdicts`. Rows that are not computed yet have no figures.
     """
 
     __tablename__ = "verdict_figures"
@@ -143,15 +144,6 @@ class VerdictFiguresTable(SQLModel, table=True):
     left: str | None = None
     without: str | None = None
     relied_on: bool | None = None
-    largest_error_deg: float | None = None
-    error_expanded_deg: float | None = None
-    bias_deg: float | None = None
-    bias_expanded_deg: float | None = None
-    scale: float | None = None
-    scale_expanded: float | None = None
-    rms_deg: float | None = None
-    rms_expanded_deg: float | None = None
-    expanded_deg: float | None = None
 
 
 class PoseTable(SQLModel, table=True):

@@ -1,15 +1,16 @@
-"""Runs found by their verdict of today, from a few numbers that are kept beside each run's result.
+"""Find runs by their verdict under today's limits, from the figures that are stored with each run's result.
 
-A verdict follows the limits of today, and so stands in no index. What it follows from on the run's side is
-written in the transaction that writes the run's row, whoever does. It says which program text it is of: what
-another one wrote is not looked at, and the run is judged whole until this one has written it.
+`calrig.calibration.uncertainty.verdict` makes the verdict. It changes with the limits, so that no index can
+hold it. Its `calrig.model.verdict.VerdictFigures` are written in the transaction that writes
+the run's row, with the hash of the program text. Figures of another program text are ignored: such a run is
+judged from its whole result until this program has written its figures.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from typing import Any, Literal, get_args
@@ -18,10 +19,9 @@ import sqlalchemy
 from sqlalchemy import Connection, event
 from sqlmodel import Session, col, select
 
-from calrig.calibration.uncertainty import limit_for
-from calrig.calibration.verdict import VerdictFigures, verdict_figures
+from calrig.calibration.uncertainty import answer_of, limit_for, verdict_figures
 from calrig.model.result import Result
-from calrig.model.verdict import Left, Limit
+from calrig.model.verdict import Answer, Left, Limit, VerdictFigures
 from calrig.program_text import sha256_of_program
 from calrig.store.convert import run_of
 from calrig.store.database import Part
@@ -30,57 +30,48 @@ from calrig.store.records import Run, how_judged
 from calrig.store.runs import NEWEST_FIRST, Sought, older_than
 from calrig.store.tables import RunTable, VerdictFiguresTable
 
-Judged = Literal[
-    "pass",
-    "conditional_pass",
-    "conditional_fail",
-    "fail",
-    "undecided",
-    "no_limits",
-    "noise",
-    "more_than_noise",
-]
+Judged = Literal[Answer, "no_limits", Left]
 """A verdict's `answer`, or its `left`."""
 LOOKED_AT = 20_000
-"""Runs for one page: a quarter of a second."""
+"""Runs searched for one page: a quarter of a second."""
 JUDGED_WHOLE = 200
-"""Runs for one page that another program has judged last."""
+"""Runs for one page whose figures another program text has written."""
 AT_ONCE = 500
-"""Rows that are read together."""
+"""Rows read together."""
 WRITTEN_AT_ONCE = 20
-"""Runs in one transaction: others wait for their turn to write meanwhile."""
+"""Runs in one transaction: other writers wait for it."""
 _FOLLOWED = ("result", "diagnosis", "faults", "plan")
-"""Columns that a verdict follows from; serial number, rig and limits are looked at when it is sought."""
+"""Columns that the figures follow from. Serial number, rig and limits are read when runs are searched."""
 PROGRAM = sha256_of_program("calibration", "estimation", "model", "store/records.py", "store/verdicts.py")
-"""What decides what a verdict follows from and what is kept of it; read now, while it is what runs."""
+"""Hash of the program text that computes the figures; taken at import, while the text is what runs."""
 _KEPT = sqlalchemy.inspect(VerdictFiguresTable).local_table
-_FIGURES = tuple(one.name for one in fields(VerdictFigures))
+_FIGURES = tuple(VerdictFigures.model_fields)
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedRuns:
-    """A page of runs with a verdict.
+class RunPage:
+    """A page of runs, with a verdict or all.
 
     Attributes:
-        items: the newest first.
-        next_cursor: of the next page; None after the last.
-        back_to: when the oldest run was made that was looked at; None where there was none.
-        judged_whole: ids of those that another program has judged last.
+        items: the runs, the newest first.
+        next_cursor: for the next page; None after the last.
+        back_to: creation time of the oldest run that was searched; None if there was none.
+        judged_whole: ids of the runs that were judged from their whole result.
     """
 
     items: list[Run]
     next_cursor: str | None
     back_to: datetime | None
-    judged_whole: list[str]
+    judged_whole: Sequence[str] = ()
 
 
 class Verdicts(Part):
-    """Runs by what the limits of today say of them."""
+    """Search of runs by their verdict under today's limits."""
 
     def judged_runs(
         self, sought: Sought, judged: Judged, *, limit: int = 50, cursor: str | None = None
-    ) -> JudgedRuns:
-        """A page of the runs with a verdict, as of `sought_runs`; a short one need not be the last.
+    ) -> RunPage:
+        """Return a page of the runs with a verdict, as `sought_runs` does; a short page need not be the last.
 
         Raises:
             ValueError: as there.
@@ -90,14 +81,14 @@ class Verdicts(Part):
             to_judge: list[int] = []
             n_looked_at, last, more = 0, None, False
             is_it = _matching(judged, limits_of(session))
-            for number, of_today, *row in map(tuple, _narrow(session, sought, cursor)):
+            for number, of_today, unit, rig, *figures in map(tuple, _narrow(session, sought, cursor)):
                 more = n_looked_at == LOOKED_AT or limit == len(by_figures) or len(to_judge) == JUDGED_WHOLE
                 if more:
                     break
                 n_looked_at, last = n_looked_at + 1, number
                 if not of_today:
                     to_judge.append(number)
-                elif is_it(*row):
+                elif is_it(unit, rig, dict(zip(_FIGURES, figures, strict=True))):
                     by_figures.append(number)
             wanted = select(RunTable).where(col(RunTable.id).in_([*by_figures, *to_judge]))
             runs = {row.id: run_of(row) for row in session.exec(wanted.order_by(*NEWEST_FIRST))}
@@ -109,10 +100,10 @@ class Verdicts(Part):
             back = found[-1].id, found[-1].created_at
         next_cursor, back_to = back or (None, None)
         whole = [runs[number].id for number in to_judge]
-        return JudgedRuns(found, next_cursor if more else None, back_to, whole)
+        return RunPage(found, next_cursor if more else None, back_to, whole)
 
     def judge(self, run_ids: Sequence[str]) -> None:
-        """Writes what the verdicts of runs follow from anew, by this program, some at a time."""
+        """Write the figures of runs again by this program, `WRITTEN_AT_ONCE` in a transaction."""
         for first in range(0, len(run_ids), WRITTEN_AT_ONCE):
             some = col(RunTable.uid).in_(run_ids[first : first + WRITTEN_AT_ONCE])
             with self._database.writing() as session:
@@ -121,14 +112,14 @@ class Verdicts(Part):
 
 
 def _has(run: Run, judged: Judged) -> bool:
-    """Whether a run with a result has the verdict, by the rules that make it and without its words."""
+    """Return whether a run with a result has the verdict, computed without its sentences."""
     assert run.result is not None  # noqa: S101 (others have no row here)
     found = verdict_figures(run.result, run.diagnosis, **how_judged(run.plan, run.faults))
-    return judged in {found.answer(run.limit), found.left}
+    return judged in {answer_of(found, run.limit), found.left}
 
 
 def _narrow(session: Session, sought: Sought, cursor: str | None) -> sqlalchemy.Result[Any]:
-    """Of each run with a result its number, whether its figures are this program's, unit, rig, and they."""
+    """Select number, whether the figures are this program's, unit, rig and `_FIGURES` of judged runs."""
     wanted = (
         sqlalchemy.select(
             col(RunTable.id),
@@ -146,27 +137,24 @@ def _narrow(session: Session, sought: Sought, cursor: str | None) -> sqlalchemy.
     return session.connection().execute(wanted)
 
 
-def _matching(judged: Judged, limits: Sequence[Limit]) -> Callable[..., bool]:
-    """Tells of a unit, a rig and figures whether they have the verdict."""
+def _matching(judged: Judged, limits: Sequence[Limit]) -> Callable[[str, str | None, dict[str, Any]], bool]:
+    """Return whether unit, rig and figures have the verdict, as a function of these."""
     if judged in get_args(Left):
-        return lambda _unit, _rig, left, *_: bool(left == judged)
+        return lambda _unit, _rig, figures: bool(figures["left"] == judged)
     of = cache(lambda unit, rig: limit_for(limits, unit, rig))
-    return lambda unit, rig, *figures: VerdictFigures(*figures).answer(of(unit, rig)) == judged
+    return lambda unit, rig, figures: answer_of(VerdictFigures(**figures), of(unit, rig)) == judged
 
 
 def _keep(connection: Connection, run: RunTable) -> None:
-    """Writes what a run's verdict follows from; of a result that cannot be judged, that it is to be."""
+    """Write a run's figures; for a result that cannot be judged, a row that is not computed."""
     connection.execute(sqlalchemy.delete(VerdictFiguresTable).where(_KEPT.c.run_id == run.id))
     if run.result is None:
         return
     try:
-        found = asdict(
-            verdict_figures(
-                Result.model_validate(run.result), run.diagnosis, **how_judged(run.plan, run.faults)
-            )
-        )
+        result = Result.model_validate(run.result)
+        found = verdict_figures(result, run.diagnosis, **how_judged(run.plan, run.faults)).model_dump()
         is_sound = all(math.isfinite(value) for value in found.values() if isinstance(value, float))
-    except (KeyError, TypeError, ValueError, ArithmeticError):  # of somebody else's making
+    except (KeyError, TypeError, ValueError, ArithmeticError):  # written by another program
         found, is_sound = {}, False
     values = {"program": PROGRAM, **found} if is_sound else {"program": ""}
     connection.execute(sqlalchemy.insert(VerdictFiguresTable).values(run_id=run.id, **values))

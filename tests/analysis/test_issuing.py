@@ -17,8 +17,8 @@ from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.revisions import BROUGHT_OVER, Issuer, Releases
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
-from calrig.calibration.verdict import Verdict
 from calrig.canonical_json import canonical
+from calrig.model.verdict import Verdict
 from calrig.store import Run, Store, StoreDamagedError
 from calrig.store.errors import Refused
 

@@ -74,7 +74,7 @@ def by_scipy(problem: Problem):
     free = np.flatnonzero(problem.free)
     start = np.where(problem.free, problem.start(), 0.0)
     places = np.array(
-        [[*problem.own_at(k), *range(problem.first_order, problem.size)] for k in problem.table.mount]
+        [[*problem.own[k], *range(problem.first_order, problem.size)] for k in problem.table.mount]
     )
 
     def whole(some):

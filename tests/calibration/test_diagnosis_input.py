@@ -13,8 +13,8 @@ import pytest
 from posed import posed
 from support import DATA
 
+from calrig.calibration.diagnosis.conclusion import conclude
 from calrig.calibration.diagnosis.tracing import diagnose, document
-from calrig.calibration.diagnosis.verdict import diagnosis_verdict
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.export.poses_csv import read_poses
 
@@ -93,7 +93,7 @@ def test_nothing_found_in_four_times_the_noise_is_said_to_be_that() -> None:
     assert (said["verdict"], said["noise"]["floor_deg"]) == ("nothing", pytest.approx(NOISE_DEG))
     (warning,) = said["warnings"]
     assert warning.startswith("lack of fit: bias and scale leave more than the noise of a pose")
-    answer, *_ = diagnosis_verdict({**said, "confirmed_by": None}).says
+    answer, *_ = conclude({**said, "confirmed_by": None}).says
     assert "more is left than the noise of a pose" in answer
     assert "consistent with noise" not in answer
 

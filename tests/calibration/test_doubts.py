@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from calrig.calibration.uncertainty.doubts import Line, remount_doubts, residual_doubts
+from calrig.calibration.uncertainty.doubts import (
+    Line,
+    clamping_doubts,
+    displacement_doubts,
+    remount_doubts,
+    residual_doubts,
+)
 
 NOISE_DEG = 0.005
 IN_FORCE = "revision 1 in force"
@@ -60,3 +67,72 @@ def test_the_scatter_of_a_new_run_does_not_excuse_its_bias():
     (doubt,) = remount_doubts(before, slipped, (-40.0, 40.0), 1.0, IN_FORCE)
     assert doubt.kind == "changed"
     assert remount_doubts(before, Line(1.6, 1.0, 0.5, 0.01), (-40.0, 40.0), 1.0, IN_FORCE) == []
+
+
+ZERO_G_DEG = math.degrees(math.asin(0.080))
+"""The largest zero-g output of the data sheet, 80 mg, as an elevation."""
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("known_deg", [None, 12.0])
+@pytest.mark.parametrize("remount_deg", [1.0, 3.0])
+def test_a_bias_is_a_clamping_angle_beyond_the_zero_g_output_and_remounting(sign, known_deg, remount_deg):
+    expected_deg, allowed_deg = known_deg or 0.0, ZERO_G_DEG + remount_deg
+    for share, kinds in ((0.98, []), (1.02, ["clamping"])):
+        found = clamping_doubts(expected_deg + sign * share * allowed_deg, known_deg, remount_deg)
+        assert [doubt.kind for doubt in found] == kinds
+
+
+@pytest.mark.parametrize(("share", "is_doubted"), [(0.99, False), (1.01, True)])
+def test_two_standard_uncertainties_come_on_top_of_what_remounting_adds(share, is_doubted):
+    """Of the bias 0.3° twice, of the scale 0.01 twice at 40°: the root of the sum of squares, twice."""
+    most_deg = 0.5 + 2.0 * math.sqrt(2.0 * 0.3**2 + 2.0 * (40.0 * 0.01) ** 2)
+    before, now = Line(0.0, 1.0, 0.3, 0.01), Line(share * most_deg, 1.0, 0.3, 0.01)
+    assert bool(remount_doubts(before, now, (-40.0, 20.0), 0.5, IN_FORCE)) is is_doubted
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "range_deg"),
+    [
+        (Line(0.2, 1.00, 0.0, 0.0), Line(0.7, 1.01, 0.0, 0.0), (-10.0, 60.0)),
+        (Line(0.7, 1.01, 0.0, 0.0), Line(0.2, 1.00, 0.0, 0.0), (-10.0, 60.0)),
+        (Line(0.2, 1.00, 0.0, 0.0), Line(0.7, 0.98, 0.0, 0.0), (-45.0, 30.0)),
+    ],
+)
+def test_two_lines_are_compared_where_they_differ_most(before, now, range_deg):
+    """By the readings that both lines predict at elevations over the range."""
+    theta = np.linspace(*range_deg, 1001)
+    readings = [line.bias_deg + line.scale * theta for line in (before, now)]
+    most_deg = max(readings[1] - readings[0], key=abs)
+    (doubt,) = remount_doubts(before, now, range_deg, 0.98 * abs(most_deg), IN_FORCE)
+    assert f"{most_deg:+.2f}°".replace("-", "−") in doubt.says
+    assert remount_doubts(before, now, range_deg, 1.02 * abs(most_deg), IN_FORCE) == []
+
+
+def document(expanded_deg, *effects, is_solved=False):
+    """As much of a calibration document as is compared."""
+    return {
+        "expanded_uncertainty_deg": expanded_deg,
+        "effects": [{"name": name} for name in effects],
+        "provenance": {"solution": {"id": "1"} if is_solved else None},
+    }
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "kinds"),
+    [
+        (document(0.05, is_solved=True), document(0.2), ["solution_in_force"]),
+        (document(0.05, is_solved=True), document(None), ["solution_in_force"]),
+        (document(0.05, is_solved=True), document(0.2, is_solved=True), []),
+        (document(0.2, is_solved=True), document(0.05), []),  # better than what it replaces
+        (document(None, is_solved=True), document(0.2), []),
+        (document(0.05), document(0.2), []),
+        (document(0.05, "temperature_bias"), document(0.2), ["effects_lost"]),
+        (document(0.05, "temperature_bias"), document(0.2, "temperature_bias"), []),
+        (document(0.05, "nonlinearity"), document(0.2), []),  # revoked since
+    ],
+)
+def test_what_a_worse_calibration_would_replace_is_a_doubt(before, now, kinds):
+    found = displacement_doubts(before, now, ["temperature_bias", "axis_mismatch"], IN_FORCE)
+    assert [doubt.kind for doubt in found] == kinds
+    assert all("temperature bias" in doubt.says for doubt in found if doubt.kind == "effects_lost")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from studies.blind.physics import Cause, Noise, measure
 
+from calrig.calibration.diagnosis.conclusion import conclude
 from calrig.calibration.diagnosis.report import partial_residuals
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.tracing import diagnose, document
-from calrig.calibration.diagnosis.verdict import diagnosis_verdict
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.responses import responses_of
 from calrig.plan import Plan
@@ -122,7 +122,7 @@ def test_the_error_on_held_out_poses_falls_with_what_changed():
     found = traced(run_of(AS_IT_WAS, 1), run_of(TURNED, 2), cross_fit=True)
     assert found["base"]["held_out_rms_deg"] > 2.0 * NOISE_DEG
     assert found["final"]["held_out_rms_deg"] < 1.15 * NOISE_DEG
-    answer = diagnosis_verdict({**found, "confirmed_by": None}).says[0]
+    answer = conclude({**found, "confirmed_by": None}).says[0]
     assert answer.endswith("changed from run 17 to run 18")
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm, t
 
-from calrig.calibration.uncertainty.budget import RangeErrors, Reference
-from calrig.calibration.uncertainty.conformity import Limit, probability_of_conformity
+from calrig.calibration.uncertainty.risk import probability_of_conformity
+from calrig.model.result import RangeErrors, Reference
+from calrig.model.verdict import Limit
 
 NODES_DEG = tuple(range(-60, 61, 10))
 
@@ -73,6 +74,22 @@ def test_a_scale_of_few_poses_has_students_tails():
 def test_an_rms_has_the_tails_of_chi_squared():
     expected = chi2.sf(50 * (0.02 / 0.025) ** 2, 50)
     assert probability({"rms_deg": 0.025}, found(), FIXED, rms_deg=0.02) == pytest.approx(expected)
+
+
+def test_the_mean_that_is_taken_off_is_over_the_range_however_the_elevations_are_spread():
+    """Of a wrong scale over 0° to 60°: the mean is that at 30°, and the ends err by 30° of scale."""
+    std = 0.002
+    one = found(nodes_deg=(0.0, 5.0, 10.0, 60.0), covariance=((0.0, 0.0), (0.0, std**2)))
+    expected = 2.0 * t.cdf(0.1 / (30.0 * std), 50) - 1.0
+    said = probability({"max_error_deg": 0.1}, one, FIXED, level_known=False)
+    assert said == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_an_error_of_the_stage_enters_the_bias_times_the_scale(scale):
+    one = found(bias_deg=0.1, scale=scale)
+    expected = norm.cdf(0.2 / (0.1 * scale)) - norm.cdf(-0.1 / (0.1 * scale))
+    assert probability({"bias_deg": (0.0, 0.3)}, one, NORMAL) == pytest.approx(expected, abs=1e-3)
 
 
 def test_without_the_level_a_common_error_is_no_error():

@@ -7,11 +7,10 @@ import pytest
 from posed import posed
 from scipy import stats
 
-from calrig.calibration.diagnosis.verdict import upper_limit
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference
-from calrig.calibration.verdict import verdict
+from calrig.calibration.uncertainty.verdict import make_verdict, noise_bound
 
 NOISE_DEG = 0.02
 
@@ -38,46 +37,51 @@ def found(name, kind, *, accepted_at=None, rivals=()):
 
 @pytest.mark.parametrize("freedom", [1, 24, 498, 100_000])
 def test_the_limit_is_what_noise_alone_stays_under_in_ninety_nine_of_a_hundred_runs(freedom):
-    assert stats.chi2.sf(upper_limit(freedom) ** 2 * freedom, freedom) == pytest.approx(0.01, rel=1e-6)
+    assert stats.chi2.sf(noise_bound(freedom) ** 2 * freedom, freedom) == pytest.approx(0.01, rel=1e-6)
 
 
 @pytest.mark.parametrize("n", [4, 26, 104])
 def test_noise_alone_is_called_more_than_noise_in_one_run_of_a_hundred(n):
     runs = 1000
-    accused = sum(verdict(result(n, seed=seed)).left == "more_than_noise" for seed in range(runs))
+    accused = sum(make_verdict(result(n, seed=seed)).left == "more_than_noise" for seed in range(runs))
     assert stats.binomtest(accused, runs, 0.01).pvalue > 1e-3
 
 
 def test_the_same_ratio_is_noise_of_few_poses_and_more_than_noise_of_many():
     def with_ratio(n):
         one = result(n)
-        left = verdict(one)
+        left = make_verdict(one)
         assert left.left == "noise"
         return one.model_copy(update={"rms_calibrated_deg": one.rms_calibrated_deg * 1.2 / left.ratio})
 
     few, many = with_ratio(26), with_ratio(520)
-    assert (verdict(few).left, verdict(many).left) == ("noise", "more_than_noise")
-    assert verdict(few).ratio == pytest.approx(verdict(many).ratio)
+    assert (make_verdict(few).left, make_verdict(many).left) == ("noise", "more_than_noise")
+    assert make_verdict(few).ratio == pytest.approx(make_verdict(many).ratio)
 
 
 def test_a_scale_of_the_sensors_changes_nothing():
-    assert verdict(result(52, scale=0.5)).ratio == pytest.approx(verdict(result(52, scale=2.0)).ratio)
+    assert make_verdict(result(52, scale=0.5)).ratio == pytest.approx(
+        make_verdict(result(52, scale=2.0)).ratio
+    )
 
 
 def test_what_is_left_is_judged_after_everything_accepted():
     effects = [("backlash", {"backlash_deg": 0.2})]
-    open_one = verdict(result(52, backlash_deg=0.2), found("backlash", "named"))
+    open_one = make_verdict(result(52, backlash_deg=0.2), found("backlash", "named"))
     assert open_one.left == "more_than_noise"
     assert open_one.ratio > 4
-    assert "The diagnosis names backlash, which has not been accepted." in open_one.says
-    accepted = verdict(result(52, effects, backlash_deg=0.2), found("backlash", "named", accepted_at="now"))
+    assert any("backlash" in said and "not been accepted" in said for said in open_one.says)
+    accepted = make_verdict(
+        result(52, effects, backlash_deg=0.2), found("backlash", "named", accepted_at="now")
+    )
     assert accepted.left == "noise"
-    assert accepted.says[0] == "Good: only noise is left."
+    assert accepted.says[0].startswith("Good")
+    assert not any("backlash" in said for said in accepted.says)
 
 
 def test_an_effect_fitted_to_these_very_poses_takes_its_degree_of_freedom():
     one = result(26, [("backlash", {"backlash_deg": 0.0})])
-    elsewhere, here = verdict(one), verdict(one, found("backlash", "named", accepted_at="now"))
+    elsewhere, here = make_verdict(one), make_verdict(one, found("backlash", "named", accepted_at="now"))
     assert here.ratio / elsewhere.ratio == pytest.approx(
         (24 / 23) ** 0.5
     )  # reference_c was chosen, not fitted
@@ -85,55 +89,53 @@ def test_an_effect_fitted_to_these_very_poses_takes_its_degree_of_freedom():
 
 def test_a_verification_fits_nothing():
     one = result(26)
-    assert verdict(one, verification=True).ratio / verdict(one).ratio == pytest.approx((24 / 26) ** 0.5)
+    assert make_verdict(one, verification=True).ratio / make_verdict(one).ratio == pytest.approx(
+        (24 / 26) ** 0.5
+    )
 
 
 @pytest.mark.parametrize(
-    ("diagnosis", "sentence"),
+    ("diagnosis", "words"),
     [
-        (None, "Its cause is not known: the run has not been diagnosed."),
-        ({"effects": []}, "The diagnosis names no further effect."),
-        (found("unnamed", "unnamed"), "The diagnosis finds an effect that is not in its catalogue."),
-        (
-            found("backlash", "ambiguous", rivals=["settling"]),
-            "The diagnosis cannot distinguish backlash from settling.",
-        ),
+        (None, ["not been diagnosed"]),
+        ({"effects": []}, ["no further effect"]),
+        (found("unnamed", "unnamed"), ["not in its catalogue"]),
+        (found("backlash", "ambiguous", rivals=["settling"]), ["cannot distinguish", "backlash", "settling"]),
     ],
 )
-def test_it_says_what_is_known_of_the_cause(diagnosis, sentence):
-    assert sentence in verdict(result(52, backlash_deg=0.2), diagnosis).says
+def test_it_says_what_is_known_of_the_cause(diagnosis, words):
+    says = make_verdict(result(52, backlash_deg=0.2), diagnosis).says
+    assert any(all(word in said for word in words) for said in says)
 
 
 @pytest.mark.parametrize(("std_deg", "explains"), [(0.1, True), (0.02, False)])
 def test_a_stage_that_sets_each_pose_anew_may_account_for_it(std_deg, explains):
     one = result(52, reference=Reference(std_deg, "setting"), backlash_deg=0.2)
-    judged = verdict(one)
+    judged = make_verdict(one)
     assert judged.left == "more_than_noise"
     assert any("setting uncertainty" in sentence for sentence in judged.says) == explains
 
 
 @pytest.mark.parametrize(("n", "stderr_deg"), [(26, None), (2, NOISE_DEG), (1, NOISE_DEG)])
 def test_without_the_noise_or_poses_to_spare_nothing_is_judged(n, stderr_deg):
-    judged = verdict(result(n, stderr_deg=stderr_deg))
+    judged = make_verdict(result(n, stderr_deg=stderr_deg))
     assert (judged.left, judged.ratio, judged.answer, judged.limit) == (None, None, "no_limits", None)
     assert judged.says[0].startswith("Not judged")
 
 
 @pytest.mark.parametrize(
-    ("scale", "reference", "sentence"),
-    [
-        (1.0, None, "The scale does not differ significantly from 1."),
-        (1.01, None, "standard errors."),
-        (1.01, Reference(2.0), "no more than the stage's own uncertainty allows."),
-    ],
+    ("scale", "reference", "differs", "by_the_stage"),
+    [(1.0, None, False, False), (1.01, None, True, False), (1.01, Reference(2.0), True, True)],
 )
-def test_it_says_whether_the_scale_differs_from_one(scale, reference, sentence):
-    judged = verdict(result(52, scale=scale, reference=reference))
-    assert any(said.endswith(sentence) for said in judged.says)
+def test_it_says_whether_the_scale_differs_from_one(scale, reference, differs, by_the_stage):
+    (said,) = (
+        one for one in make_verdict(result(52, scale=scale, reference=reference)).says if "scale" in one
+    )
+    assert ("standard errors" in said, "stage's own uncertainty" in said) == (differs, by_the_stage)
 
 
 def test_poses_of_one_elevation_have_no_scale():
     one = build_result([Pose(target_deg=0.0, reading_deg=0.1 * k) for k in range(4)])
-    judged = verdict(one)
-    assert "All poses stand at one elevation: the scale is not known and counts as 1." in judged.says
-    assert "It rests on only 4 poses." in judged.says
+    judged = make_verdict(one)
+    assert any("one elevation" in said for said in judged.says)
+    assert any("only 4 poses" in said for said in judged.says)

@@ -16,7 +16,7 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.conformity import Limit
-from calrig.calibration.verdict import verdict
+from calrig.calibration.uncertainty.verdict import make_verdict
 from calrig.export.calibration_document import calibration_content
 from calrig.export.certificate.content import budget_of, rounded, with_uncertainty
 
@@ -108,7 +108,7 @@ def test_the_risk_that_a_pass_is_wrong_is_what_many_such_measurements_would_have
     reference = Reference(u_deg, "harmonic", "normal")
     poses, document = calibrated(reference)
     result = build_result(poses, reference=reference)
-    said = verdict(result, limit=Limit(name="", max_error_deg=allowed_deg), calibration=document)
+    said = make_verdict(result, limit=Limit(name="", max_error_deg=allowed_deg), calibration=document)
 
     over, rng = result.to_dict()["over_range"], np.random.default_rng(1)
     theta = np.array(over["elevation_deg"])

@@ -6,14 +6,12 @@ from calrig.calibration.diagnosis.experiment_design import FollowUp, SequentialT
 from calrig.calibration.diagnosis.report import PartialResidual, partial_residuals
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.tracing import diagnose, trace
-from calrig.calibration.diagnosis.verdict import between_runs
 
 __all__ = [
     "Findings",
     "FollowUp",
     "PartialResidual",
     "SequentialTest",
-    "between_runs",
     "design",
     "diagnose",
     "partial_residuals",

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.diagnosis.candidates import candidates_of
+from calrig.calibration.diagnosis.conclusion import conclude
 from calrig.calibration.diagnosis.experiment_design import ambiguous_of, design
 from calrig.calibration.diagnosis.held_out import (
     BLOCKS,
@@ -25,7 +26,6 @@ from calrig.calibration.diagnosis.held_out import (
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
 from calrig.calibration.diagnosis.report import effect_documents, model_words
 from calrig.calibration.diagnosis.selection import Findings, competing_candidates, search
-from calrig.calibration.diagnosis.verdict import diagnosis_verdict
 from calrig.calibration.line import fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
@@ -279,4 +279,4 @@ def trace(
         else:
             found["follow_up"] = designed.document(plan or {})
     decided = None if deciding is None else len(deciding)
-    return {**found, **asdict(diagnosis_verdict(found, decided))}
+    return {**found, **asdict(conclude(found, decided))}

@@ -1,8 +1,6 @@
-"""Many tests at once: which of them count, so that few of those that do are chance.
+"""Compare runs of a unit: changes beyond re-clamping and the day, drift, and components between units.
 
-What changed between two runs of a unit, beyond what every re-clamping and every day changes.
-
-Units side by side: how a unit drifts, and how units differ beyond what one repeats.
+A false discovery rate decides how many of the units tested together count as changed.
 """
 
 from __future__ import annotations
@@ -58,9 +56,9 @@ class Differences:
         first, second: (K,) places of the runs.
         value: (K,) difference.
         std: (K,) its standard uncertainty; NaN without a repeatability.
-        sigma: (K,) the difference over it; NaN likewise.
-        p_value: (K,) two-sided, by Student's t; NaN likewise.
-        type_a_std: (K,) what the runs' own standard errors make of it.
+        sigma: (K,) the difference over it; NaN without a repeatability.
+        p_value: (K,) two-sided, by Student's t; NaN without a repeatability.
+        type_a_std: (K,) its part from the runs' own standard errors.
     """
 
     first: IntArray
@@ -73,7 +71,7 @@ class Differences:
 
 
 def differences(runs: Runs, pooled: Repeatability | None) -> Differences:
-    """Each run less the one before it, beside what both runs' errors, re-clamping, day and rig make of it.
+    """Return each run less the one before it, with the uncertainty by both runs, re-clamping, day and rig.
 
     u² = u₁² + u₂² + 2·s_run² + 2·s_day² (on another day or rig) + the stages' part (on another rig, the
     larger of what their certificates and what their runs say): GUM, JCGM 100:2008, 5.1.2. Its p-value is
@@ -104,14 +102,14 @@ def differences(runs: Runs, pooled: Repeatability | None) -> Differences:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What changed between consecutive runs, in all figures together.
+    """Changes between consecutive runs, in all figures together.
 
     Attributes:
         unit: (N,) of the runs, as given.
         figures: the differences of each figure, all of the same K pairs.
         pooled: how each figure repeats; None where the runs do not tell.
-        p_value: (K,) of each pair, over its figures; NaN where not known.
-        unit_p_value: (units,) of each unit, over its pairs; NaN likewise.
+        p_value: (K,) of each pair, over its figures; NaN if unknown.
+        unit_p_value: (units,) of each unit, over its pairs; NaN if unknown.
         level: what a unit's p-value must not exceed for the unit to count as changed.
         changed: (K,) the pairs that do.
     """
@@ -131,7 +129,7 @@ class Changes:
 
 
 def changes(figures: tuple[Runs, ...], known: tuple[Repeatability | None, ...] | None = None) -> Changes:
-    """Which units changed between which runs.
+    """Return which units changed between which runs.
 
     A pair's p-value is the least of its figures, times their number; a unit's the least of its pairs, times
     theirs (Bonferroni). Units count as changed up to the level of Benjamini and Hochberg at

@@ -1,6 +1,7 @@
-"""Control charts for histories that are short: the mean is learned on the way, the spread is known.
+"""Chart a unit's or a rig's history, and forecast when the unit is due.
 
-When a unit is due again: where the forecast of its drift, with its uncertainty, reaches a limit.
+Control charts for short histories: the mean is learned from the runs, the spread is known. The due date is
+the day on which the forecast of the drift, with its uncertainty, reaches a limit.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def moving_average(q: FloatArray, weight: float) -> FloatArray:
 def control_chart(
     value: FloatArray, variance: FloatArray, ewma: Ewma, freedom: FloatArray | None = None
 ) -> ControlChart:
-    """The chart of a history: self-started Q, then a moving average of them.
+    """Chart a history: self-started Q, then their moving average.
 
     Args:
         value: (…, n) in the order measured.
@@ -130,13 +131,13 @@ def control_chart(
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """What n checks of a rig say.
+    """The results of n checks of a rig.
 
     Attributes:
-        q, average: (n,) as in `ControlChart`; the average begins anew after each failure.
-        limit: (n,) what the average was held against; infinite where it was not.
+        q, average: (n,) as in `ControlChart`; the average restarts after each failure.
+        limit: (n,) control limit of the average; infinite where the average was not tested.
         failed: (n,) whether the check failed.
-        known: (n,) whether there was anything to hold it against: not for the first.
+        known: (n,) whether there was a mean to test it against: not for the first.
     """
 
     q: FloatArray
@@ -153,11 +154,11 @@ def checks(
     ewma: Ewma = RIG_CHART,
     freedom: FloatArray | None = None,
 ) -> Checks:
-    """Checks of a rig by a unit that is known to keep: the mean is of the checks that passed.
+    """Chart the checks of a rig by its check standard: the mean is of the checks that passed.
 
-    What failed never moves the mean. A rig that failed passes again with the first check that lies within
-    `PUT_RIGHT` standard deviations of the mean, and the average begins anew there. A shift before
-    `judged_from` is nobody's fault: the mean begins anew with it.
+    A failed check never moves the mean. A rig that failed passes again with the first check within
+    `PUT_RIGHT` standard deviations of the mean, and the average restarts there. A shift before
+    `judged_from` is no failure: the mean restarts with it.
 
     Args:
         value: (n,) of the check unit on the rig, in the order measured.
@@ -199,7 +200,7 @@ FEWEST_RUNS = 3
 COVERAGE = 1.6448536269514722
 """One-sided 95 % of a normal distribution: the chance to be in tolerance until then."""
 LONGEST = 2.0
-"""Intervals that a forecast may stretch the time to, or as long as the history is: nobody has seen beyond."""
+"""Intervals that a forecast may reach at most, or as long as the history is: it extrapolates no further."""
 CONFIDENCE = 0.99
 SIGNIFICANT = 2.5758293035489004
 """Standard errors from where a drift is one (99 %, two-sided)."""

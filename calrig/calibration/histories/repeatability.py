@@ -1,9 +1,7 @@
-"""How much re-clamping, the day and the rig add to a figure: variance components by REML.
+"""Estimate by REML what re-clamping, the day and the rig add to a figure, pooled over all units.
 
-How a figure repeats when a unit is clamped anew, on another day or another rig: pooled over all units.
-
-The standard error of one run knows the noise of its poses alone. Units may have changed meanwhile: the runs
-between which they did are found first, so that they spoil nothing.
+The standard error of one run covers the noise of its poses alone. Runs between which a unit changed are
+detected first and split the unit, so that they do not inflate the spread.
 """
 
 from __future__ import annotations
@@ -201,7 +199,7 @@ def _same(group: IntArray) -> tuple[IntArray, IntArray]:
 BoolArray = npt.NDArray[np.bool_]
 
 FEWEST_REPEATS = 3
-"""Repeats that there must be: of two that disagree nobody can tell which is the change."""
+"""Least number of repeats: of two that disagree, either may be the change."""
 FEWEST_ALIKE = 2
 """Repeats left without what changed; with one, nothing but a factor of 13 would be significant."""
 MOST_RUNS = 700

@@ -1,7 +1,4 @@
-"""What a design is to reach, as the scatter that its readings may have.
-
-What a plan is designed for, and a design: what both of its kinds have in common.
-"""
+"""Define the problem that a design solves: goals, reference, precision and pace; and the design itself."""
 
 from __future__ import annotations
 
@@ -60,8 +57,8 @@ class TypeB:
     def of_line(self, over_range: float) -> TypeB:
         """What it makes of an elevation by a line whose mean variance over the range is this for scatter 1.
 
-        An error of each setting anew enters as a scatter does (`uncertainty.reference_part`); any other is
-        the same however many poses there are.
+        An independent error of each setting enters as a scatter does (`uncertainty.reference_part`); any
+        other is the same however many poses there are.
         """
         return replace(self, std_deg=self.std_deg * math.sqrt(over_range)) if self._is_of_settings else self
 

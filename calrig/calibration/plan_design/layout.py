@@ -1,9 +1,4 @@
-"""What a design rests on: how precise a reading is, and what time a rig takes.
-
-Where the poses of a design stand, and in which order they are visited.
-
-Designs that turn without stopping: stretches for poses, a dwell at either end of each pass.
-"""
+"""Lay poses out: dwells or continuous sweeps, in which order, with which precision and in which time."""
 
 from __future__ import annotations
 
@@ -97,8 +92,8 @@ class Pace:
     Attributes:
         travel_s: time of a move of so many degrees.
         settle_s: after each move.
-        questions_s: at each pose, to the stage and the board.
-        pass_s: likewise at each dwell of a sweep, with what follows from its stretches.
+        questions_s: communication time at each pose, with the stage and the board.
+        pass_s: communication time at each dwell of a sweep, its segments included.
         begin_s: before the first move.
         stands_deg: elevation from which the first move begins.
     """

@@ -1,4 +1,4 @@
-"""How long to wait after a move: until the gyro feels nothing of it, and the filter has forgotten it."""
+"""Determine the settling time: until gyro and filter show nothing of the move any more."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calrig.calibration.regression.motion import filter_share
 from calrig.estimation.angles import FloatArray
 
 WINDOW_S = 0.05
-"""Over which a rate is averaged before it is held against the noise: a ringing table has some 10 Hz."""
+"""Over which a rate is averaged before it is compared with the noise: a ringing table has some 10 Hz."""
 QUIET_STD = 5.0
 """Of the averaged rate within the dwell: one in a million of windows is beyond it by chance."""
 MOST_MOVES = 0.95
@@ -23,7 +23,7 @@ LONGEST_S, STEP_S = 5.0, 0.05
 SHARE = 0.1
 """Of the uncertainty wanted: as much may the filter still show of a move."""
 GAIN_ERROR = 0.03
-"""Of an MPU-6050's gyro that nobody has measured: the tolerance of its data sheet."""
+"""Of an MPU-6050's gyro that was not calibrated: the tolerance of its data sheet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Gyro:
 def ring_down_s(
     time_s: FloatArray, rate_dps: FloatArray, dwells: Sequence[tuple[float, float, float]]
 ) -> float | None:
-    """How long after the stage's arrival the gyro still feels a move, in all but one move of twenty.
+    """Return how long after the stage's arrival the gyro still measures a move, in 19 of 20 moves.
 
     Args:
         time_s: (n,) of samples, increasing.

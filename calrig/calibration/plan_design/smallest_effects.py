@@ -1,4 +1,4 @@
-"""How small an effect a design of poses would still show: said before anything moves."""
+"""Compute the smallest effect that a design of poses detects with 80 % power, before anything moves."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def imagined_dwells(elevations_deg: Sequence[float], dwell_s: float, pace: Pace)
 
 
 def imagined_sweep(sweep: Sweep, pace: Pace, turning: Turning, seed: int) -> list[Pose]:
-    """The stretches and dwells of a sweep likewise."""
+    """Return the stretches and dwells of a sweep as a faultless unit would measure them."""
     planned = sweep.poses(seed)
     settled_s = [None if pose.stretch_deg else pace.settle_s for pose in planned]
     poses = _imagined([pose.target_deg for pose in planned], sweep.times_s(pace, turning), settled_s)

@@ -22,7 +22,7 @@ from calrig.calibration.separation.report import (
     whole_units,
 )
 from calrig.calibration.separation.solution import Solution, solve
-from calrig.calibration.separation.stage_reference import (
+from calrig.calibration.separation.stage_map import (
     MAP_SCHEMA,
     MapError,
     StageMap,

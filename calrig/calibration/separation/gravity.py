@@ -1,17 +1,10 @@
 """Calibrate an accelerometer against gravity alone, without a stage: |a| = 1 g.
 
-An accelerometer against |a| = 1 g: the model, the effects it may lack, and its fit.
-
-Everything is linear in its coefficients: true = raw + Σ βₖ·Dₖ(raw, covariates), so that the residual
-|true| − 1 g has the exact derivative (true/|true|)·Dₖ. The base is an offset and a factor for each axis.
-
-Search and gate for what bias and scale lack against gravity, pose after pose left out.
-
-The statistic is the best of all candidates, its distribution a bootstrap under the current model for these
-very poses, as in the diagnosis of poses on a stage (`gate`). Poses laid down by hand in any order make the
-columns of an effect rough, so that correlation from pose to pose does not look like one.
-
-Gravity as the reference, where there is no stage: bias and scale from |a| = 1 g, and what they lack.
+The model is linear in its coefficients: true = raw + Σ βₖ·Dₖ(raw, covariates), so that the residual |true| −
+1 g has the exact derivative (true/|true|)·Dₖ. The base is an offset and a factor for each axis; effects are
+added by forward selection. The statistic is the maximum over all candidates, its null distribution a
+bootstrap under the current model for these very poses, as in the diagnosis. Poses laid down by hand come in
+any order, so that an effect's columns are rough, and correlation from pose to pose does not resemble one.
 """
 
 from __future__ import annotations
@@ -50,7 +43,7 @@ class GravityEffect:
         name: where it is one of the catalogue of elevation, the same cause with a parameter for each axis.
         title: for a heading.
         origin: as CONTRACT section 5 has them.
-        covariate: likewise.
+        covariate: as CONTRACT section 5 has them.
         columns: (n, 3, 3) what the three parameters add to `true`, (pose, axis, parameter); None where the
             log has no covariate for it. Without unit, of order 1.
         parameters: their names, in the contract's units.

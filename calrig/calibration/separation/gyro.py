@@ -1,23 +1,23 @@
-"""A gyro's bias and its sensitivity to gravity, from its means while the stage stands.
+"""Calibrate a unit's gyro as `true = matrix·(raw − bias − dps_per_g·a)`, in its accelerometer's frame.
+
+Dwells, while the stage is at rest, give the bias and its sensitivity to gravity:
 
     mean = bias + per_c·ΔT + D·g + h·n + k·(g × n)
 
 g is gravity's direction, n the stage's axis, both in the unit; h and k are Earth's rate along the axis and
-level across it, no more than 0.0042 dps each. Its rate about the vertical turns with g and cannot be told
-from D: up to 0.0042 dps/g of D's diagonal is Earth's.
+level across it, at most 0.0042 dps each. Earth's rate about the vertical rotates with g and cannot be
+distinguished from D: up to 0.0042 dps/g of D's diagonal is Earth's.
 
-A whole gyro from turns about axes that the accelerometer knows, and from the dwells between them.
+Rotations about axes that the accelerometer knows, with the dwells between them, give the matrix:
 
     ∫(raw − bias) dt = G·n·Δφ + e·T − t·|Δφ|·r
 
-n is the stage's axis in the unit, as the mounts have it; Δφ what the table turned. A full turn closes on
-360° whatever the stage does; of shorter moves the map is needed, as well as it is known. e is what a dwell's
-mean and the move's differ by (Earth's rate across the axis, gravity's influence): the same both ways, so that
-turns both ways part it from G. r is the noise of the two dwells' means, which were taken off as the bias: the
-other dwells tell it, and how long a move lasts by the turn, t, is found from it. Time is the board's: a clock
-that is fast by 1 % is a gyro whose scale is 1 % off.
-
-A unit's gyro as `true = matrix·(raw − bias − dps_per_g·a)`, in the frame of its accelerometer.
+n is the stage's axis in the unit, as the mounts have it; Δφ the table's rotation. A full turn closes on 360°
+whatever the stage does; shorter moves need the map and are as uncertain as it is. e is the difference between
+a dwell's mean and the move's (Earth's rate across the axis, gravity's influence): it is equal both ways, so
+that rotations both ways separate it from G. r is the noise of the two dwells' means, which were taken off as
+the bias: the other dwells show it, and how long a move lasts by the rotation, t, is estimated from it. Time
+is the board's: a clock that is fast by 1 % is a gyro scale that is 1 % off.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ TURN_DEG, CLOSES_DEG = 360.0, 1.0
 SHORTEST_DEG = 10.0
 FEWEST_TURNS = 3
 LARGEST_OFF = 0.2
-"""Of a gyro's response from the identity; a move that was felt to differ by more was another move."""
+"""Largest deviation of a gyro's response from the identity; a measured move that differs more is another."""
 SLOW_DPS = 10.0
 """Speed of moves whose time is not known: the slower, the more of Earth's rate is in them."""
 ROUNDS = 4
@@ -115,7 +115,7 @@ RESPONSE = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """What the moves say of a unit's gyro.
+    """A unit's gyro as its moves show it.
 
     Attributes:
         response: (3, 3) G, of a rate in the sensor's frame.
@@ -135,7 +135,7 @@ class Turns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moves:
-    """m moves: rows of the table, degrees turned by the dial, degrees felt (m, 3), seconds, r (m, 3)."""
+    """m moves: rows of the table, degrees by the dial, degrees measured (m, 3), seconds, r (m, 3)."""
 
     rows: Intp
     dial_deg: FloatArray
@@ -162,7 +162,7 @@ def turns_of(fit: Fit, unit: int, dwells: Dwells | None) -> Turns | None:
 
 
 def _moves(fit: Fit, unit: int, dwells: Dwells | None) -> _Moves:
-    """Those of one unit that the gyro felt as the stage made them: full turns, where there are any."""
+    """Return a unit's moves that its gyro measured as the stage made them: full turns, if there are any."""
     table = fit.problem.table
     rows, dial, felt, lasts, columns, noise = [], [], [], [], [], []
     places = {id(pose): row for row, pose in enumerate(table.poses)}
@@ -251,12 +251,12 @@ def _lasts_s(before: Pose, now: Pose, way_deg: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholeGyro:
-    """What dwells and turns say; None of what they do not tell.
+    """A gyro by its dwells and moves; None for what they do not identify.
 
     Attributes:
         dwells, turns: in the sensor's frame.
         matrix: (3, 3) and `matrix_std`, in the accelerometer's frame.
-        dps_per_g: (3, 3) and `dps_per_g_std`, likewise.
+        dps_per_g: (3, 3) and `dps_per_g_std`, in the accelerometer's frame.
         clock: of the board's by the host's, where the poses have both times.
     """
 

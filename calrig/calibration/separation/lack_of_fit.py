@@ -1,15 +1,13 @@
-"""Whether one of the mounts does not fit the others: a map that moved, a clamp that creeps, another unit.
+"""Test the joint solution for lack of fit: a mount that does not fit the others, and an unstated gear.
 
-Each mount is given terms of its own beside the joint fit: waves of the dial, as of a map that is another one
-there; time, as of a clamp that gives; a unit's gains, skew and offsets, as of another unit. What they
-explain beyond the joint model is held against noise by an F test of added columns (Seber & Lee, Linear
-Regression Analysis, 2nd ed., section 3.7), of all mounts and all terms at once by Bonferroni. Terms that the
-model has already, as those of a unit that was clamped once, drop out by their rank.
+Each mount is given terms of its own in addition to the joint fit: waves of the dial, as of another map; time,
+as of a clamp that gives; a unit's gains, skew and offsets, as of another unit. What they explain is tested
+against noise by an F test of added columns (Seber & Lee, Linear Regression Analysis, 2nd ed., section 3.7),
+with Bonferroni's bound over all mounts and terms. Terms that the model has already drop out by their rank.
 
-A gear whose period nobody stated: the poses' residuals, against every period that their angles resolve. A
-worm's error repeats many times in a turn, beyond the orders that a map has by itself; noise takes it up,
-which is honest and tells nobody. The best of all periods is reported if noise would make the best of them as
-good in one case of a hundred.
+A gear whose period was not stated repeats many times in a turn, beyond the orders of the map, and raises the
+noise. The residuals are tested against every period that the angles resolve; the best period is reported if
+noise alone makes the best of them as good in at most 1 % of cases.
 """
 
 from __future__ import annotations
@@ -102,8 +100,7 @@ def _of_mount(fit: Fit, k: int, rows: Intp) -> dict[Cause, tuple[float, float]]:
     white, _ = whitened(values, rows, problem.table.source[rows], problem.correlation)
     flat = white.reshape(-1, white.shape[2])
     more = sum(term.shape[2] for term in terms.values())
-    at = np.concatenate([problem.own_at(k), np.arange(problem.first_order, problem.size)])
-    inverse = fit.inverse.between(np.eye(problem.size)[at])
+    inverse = fit.inverse.at(np.concatenate([problem.own[k], np.arange(problem.first_order, problem.size)]))
     return _explained(fit, flat[:, more:-1] @ _root(inverse), flat, terms)
 
 

@@ -1,15 +1,12 @@
-"""Gauss and Newton's iteration on the joint model.
+"""Fit the joint model by Gauss-Newton, without outliers, with noise correlated from pose to pose.
 
-What is not known of a parameter before the data is how large it may be in any part that is sold (`widths`).
-Where the data say anything at all that is nothing beside it: it only keeps what they do not say at all from
-running off (Björck, Numerical Methods for Least Squares Problems, 1996, section 5.3).
+A parameter's prior is how large it may be in any part that is sold (`widths`). It only bounds what the data
+do not determine at all (Björck, Numerical Methods for Least Squares Problems, 1996, section 5.3).
 
-Noise that is correlated from pose to pose: a first-order autoregression within each mount of each run.
-
-At a correlation of 0.3 or 0.6 the mean of poses that follow one another is worth half or a quarter of as many
-that do not, and two standard errors that deny it hold in 86 or 70 % of cases in place of 95. The correlation
-is found by restricted likelihood: that of residuals alone is too small where a model has many parameters
-(Patterson & Thompson, Biometrika 58, 1971).
+The noise is a first-order autoregression within each mount of each run. At a correlation of 0.3 or 0.6, two
+standard errors that ignore it cover 86 or 70 % instead of 95 %. The correlation is found by restricted
+likelihood, because that of the residuals alone is too small if a model has many parameters (Patterson &
+Thompson, Biometrika 58, 1971).
 """
 
 from __future__ import annotations
@@ -68,12 +65,12 @@ class Fit:
     weights: FloatArray
 
     def covariance_of(self, rows: FloatArray) -> FloatArray:
-        """(m, m) of what is linear (m, p) in the parameters."""
+        """Return (m, m) the covariance of what is linear (m, p) in the parameters."""
         return self.noise**2 * self.inverse.between(rows)
 
     def covariance_at(self, places: Intp) -> FloatArray:
-        """(m, m) of some parameters."""
-        return self.covariance_of(np.eye(len(self.parameters))[places])
+        """Return (m, m) the covariance of some parameters."""
+        return self.noise**2 * self.inverse.at(places)
 
     @property
     def kept(self) -> BoolArray:
@@ -93,14 +90,14 @@ class Fit:
 
     def leverage(self) -> FloatArray:
         """(n, c) share of each response that its own measurement has in what is expected of it."""
-        problem, inverse = self.problem, self.inverse.whole()
+        problem = self.problem
         found = np.zeros_like(self.normal.residuals)
         of_map = np.arange(problem.first_order, problem.size)
         for k in range(len(problem.table.mounts)):
             rows = problem.table.mount == k
-            at = np.concatenate([problem.own_at(k), of_map])
+            inverse = self.inverse.at(np.concatenate([problem.own[k], of_map]))
             derivatives = self.normal.derivatives[rows]
-            found[rows] = ((derivatives @ inverse[np.ix_(at, at)]) * derivatives).sum(axis=2)
+            found[rows] = ((derivatives @ inverse) * derivatives).sum(axis=2)
         return found
 
     def identified(self) -> tuple[int, int]:

@@ -38,7 +38,7 @@ from calrig.calibration.separation.pose_table import Intp
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 SAME_SEAT_DEG = 5.0
-"""An angle that nobody stated is that of the nearest seat within this."""
+"""An angle that was not stated is that of the nearest seat within this."""
 STATED_ALIKE_DEG = 0.01
 FARTHEST_DEG = 10.0
 """A clamping that stands farther from its seat, level and all, is not on it, whatever was stated."""
@@ -57,9 +57,9 @@ class Level:
 
     Attributes:
         value_deg: elevation of the sensor where the case stands level.
-        std_deg: None where neither somebody nor a repetition says how well seat and face repeat.
-        seat_std_deg: of one clamping to the next; None likewise.
-        seat_from: who says so.
+        std_deg: its standard error; None if the repeatability of seat and face is not known.
+        seat_std_deg: that repeatability, from one clamping to the next; None if it is unknown.
+        seat_from: its source.
         reversals: clampings the other way round, on seats where there are both.
         by_parameters: (p,) of all the model's parameters.
         own_variance: of the level, rad², beside what comes by the parameters.

@@ -1,10 +1,8 @@
-"""What poses at one dial angle have in common and no parameter explains: the map beyond its orders.
+"""Report the stage map with its uncertainty: over the dial, its harmonics, backlash and mounting angles.
 
-Poses that were taken to few angles of the dial do not show orders beyond them, in any mount: the misfit is
-the same each time, and neither more poses nor another mount average it out. Dwells that are repeated at one
-angle tell it from noise (pure error: Draper & Smith, Applied Regression Analysis, 1998, section 2.1).
-
-The stage's map over its dial, with what it is worth; and the mounts beside it.
+Poses at few dial angles do not show the orders beyond these angles, in any mount: the misfit at an angle is
+the same each time, and neither more poses nor another mount average it out. Repeated dwells at one angle
+distinguish it from noise (pure error: Draper & Smith, Applied Regression Analysis, 1998, section 2.1).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Whether a stage still has the map that it had: one unit's poses now against those that it gave before.
+"""Test whether a stage map is still valid: a unit's poses now compared with its earlier ones.
 
-A unit's own errors turn with the unit, and are the same at one elevation in both runs. Clamping it anew moves
-its bias, and its curve of errors e(θ) along with it: by e'(θ)·Δ, which is 0.05° of a unit with offsets of 50
-mg that was clamped 1° otherwise. A day may move its scale. What else differs is the stage's, or noise.
+A unit's own errors rotate with it, and are equal at one elevation in both runs. Remounting it by Δ moves
+its bias, and its curve of errors e(θ) along with it: by e'(θ)·Δ, which is 0.05° for a unit with offsets of 50
+mg that is remounted by 1°. A day may change its scale. Every other difference is the stage's, or noise.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.poses import Pose
-from calrig.calibration.separation.stage_reference import StageMap, dial_of
+from calrig.calibration.separation.stage_map import StageMap, dial_of
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 PLACE_DEG = 1.0
@@ -31,7 +31,7 @@ FAR = 3.0
 
 @dataclass(frozen=True, slots=True)
 class MapCheck:
-    """What became of a map.
+    """The validity of a map.
 
     Attributes:
         p_value: that noise, and what the map may be off by its own covariance, differ so much or more.
@@ -46,12 +46,12 @@ class MapCheck:
 
     @property
     def has_moved(self) -> bool:
-        """Whether that is no chance any more."""
+        """Whether the differences are significant."""
         return self.p_value < ALARM
 
 
 def checked(now: Sequence[Pose], before: Sequence[Pose], stage_map: StageMap) -> MapCheck | None:
-    """Holds a unit's poses against earlier ones of the same clamping angle.
+    """Compare a unit's poses with earlier ones of the same clamping angle.
 
     With d the differences (K,) of the mean errors at the places of the dial that both visited, by approach,
     their covariance S = σ²·diag(1/n + 1/m) + B·V·Bᵀ (σ² pooled from within the places; V the map's, B its

@@ -57,7 +57,7 @@ CLOCK_ERRORS = 3.0
 def messages_of(
     solution: Solution, on_stage: Mapped, gyros: Sequence[WholeGyro | None], frame: Frame
 ) -> list[str]:
-    """Return all that should be known of a solution, the weightiest first.
+    """Return the messages on a solution, the most important first.
 
     Args:
         solution: with its units.
@@ -106,7 +106,7 @@ def _not_separable(solution: Solution, unit: int) -> str:
 
 
 def _of_accelerometer(solution: Solution, unit: int, frame: Frame) -> list[str]:
-    """What of it the poses do not tell, and how well its seats repeat."""
+    """Report which parameters of a unit the poses do not identify, and how well its seats repeat."""
     fit, serial, axes = solution.fit, solution.table.units[unit], axes_of(solution.fit, unit)
     missing = [axis for axis in AXES if axis not in axes]
     if names := unidentified(fit, unit):
@@ -159,7 +159,7 @@ def _of_gyro(serial: str, gyro: WholeGyro | None) -> list[str]:
 
 
 def _of_misfits(solution: Solution) -> list[str]:
-    """Mounts that the others do not predict as well as noise allows."""
+    """Report mounts that the others do not predict as well as noise allows."""
     found = misfits(solution.mount_tests)
     if not found:
         return []
@@ -185,13 +185,13 @@ def _of_gear(solution: Solution) -> list[str]:
 
 
 def _of_levels(solution: Solution) -> list[str]:
-    """What is missing of the level of a unit that was reversed, and what the clampings contradict."""
+    """Report a level whose uncertainty is unknown, and clampings that contradict the stated repeatability."""
     found = []
     for serial, level in zip(solution.table.units, solution.levels, strict=True):
         if level is not None and not level.is_known:
             found.append(
                 f"unit {serial} was reversed, which has its level at {level.value_deg:+.3f}°, but nothing "
-                "says how well face and seat repeat: state it (--seat-std), or clamp it anew both ways; "
+                "says how well face and seat repeat: state it (--seat-std), or remount it both ways round; "
                 "until then its level is not known"
             )
         elif level is not None and level.contradicted:
@@ -203,7 +203,7 @@ def _of_levels(solution: Solution) -> list[str]:
 
 
 def _of_linear(solution: Solution) -> list[str]:
-    """Whether the data contradict that the units are linear."""
+    """Report that the data contradict linear units."""
     fit, n_units = solution.fit, len(solution.table.units)
     if not fit.problem.linear:
         return []
@@ -222,7 +222,7 @@ def is_better(bent: Fit, straight: Fit) -> bool:
 
 
 def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
-    """Mounts that stand elsewhere than somebody stated; units in the plane without a statement at 0."""
+    """Report mounts that are not at the stated angle; for units in the plane the default is 0°."""
     found, is_whole = [], solution.table.is_whole
     for mount, found_deg in zip(solution.table.mounts, on_stage.mounts_deg, strict=True):
         if is_whole and mount.nominal_deg is None:
@@ -241,7 +241,7 @@ def _of_mounts(solution: Solution, on_stage: Mapped) -> list[str]:
 
 
 def _of_sources(solution: Solution) -> list[str]:
-    """Files that share a mount by name, and not to within the noise by angle."""
+    """Report files that share a mount by name but differ in its angle by more than noise."""
     fit, table, found = solution.fit, solution.table, []
     angles = fit.left()
     rho = min(fit.problem.correlation, MOST_BELIEVED)
@@ -254,7 +254,7 @@ def _of_sources(solution: Solution) -> list[str]:
             if len(means) > 1 and abs(mean) > MOVED * error:
                 found.append(
                     f"mount {mount.name} of unit {table.units[mount.unit]}: in {table.sources[source]} it "
-                    f"stands {np.degrees(mean):+.3f}° from where all its poses have it: was it clamped anew?"
+                    f"stands {np.degrees(mean):+.3f}° from where all its poses have it: was it remounted?"
                 )
     return found
 
@@ -271,7 +271,7 @@ def _of_dial(solution: Solution) -> list[str]:
 
 
 def _of_angles(solution: Solution, on_stage: Mapped) -> list[str]:
-    """Poses at too few angles of the dial, or with something in common there."""
+    """Report poses at too few dial angles, or with a common misfit there."""
     dial, found = solution.table.dial_deg[solution.fit.kept], []
     n_angles = len(np.unique(np.round(dial / NEAR_DEG)))
     if n_angles <= 2 * len(on_stage.harmonics) + 1:
@@ -289,7 +289,7 @@ def _of_angles(solution: Solution, on_stage: Mapped) -> list[str]:
 
 
 def _of_unidentifiable(solution: Solution) -> list[str]:
-    """Orders of the map that the poses cannot tell from its others."""
+    """Report orders of the map that the poses cannot distinguish from its others."""
     if not solution.choice.unidentifiable:
         return []
     orders = ", ".join(f"{order:g}" for order in solution.choice.unidentifiable)
@@ -337,7 +337,7 @@ PLANS_DEG = (
 but 8, 16, …; sevenths all but 7, 14, ….
 """
 WORTH_IT = 1.5
-"""By how much the elevation must be known better for a unit to be clamped anew."""
+"""Factor by which the elevation must be known better for a remounting to be advised."""
 WIDER = 1.1
 AS_GOOD = 1.1
 """A plan is as good as another within this; the one of fewer mounts, or named first, is then advised."""

@@ -24,7 +24,7 @@ class Normal:
         residuals: (n, c) measured less expected over the shape of the noise, g (a reading: rad, and 0).
         matrix: (p, p) JᵀWJ; `gradient` (p,) JᵀWr; `squares` rᵀWr. W whitens correlated poses.
         log_variance: log of the determinant of the noise's correlation.
-        derivatives: (n, c, k) of each pose by its unit and mount (`Problem.own_at`), then by the map.
+        derivatives: (n, c, k) of each pose by its unit and mount (`Problem.own`), then by the map.
     """
 
     residuals: FloatArray
@@ -93,16 +93,9 @@ class Inverse:
                 found += own @ inside @ own.T
         return np.asarray(found + beside @ self.middle @ beside.T)
 
-    def whole(self) -> FloatArray:
-        """(p, p)."""
-        wide = np.zeros((self.size, len(self.border)))
-        wide[self.border] = -np.eye(len(self.border))
-        for at, across in zip(self.blocks, self.across, strict=True):
-            wide[at] = across
-        found = np.asarray(wide @ self.middle @ wide.T)
-        for at, inside in zip(self.blocks, self.inside, strict=True):
-            found[np.ix_(at, at)] += inside
-        return found
+    def at(self, places: Intp) -> FloatArray:
+        """(m, m) the inverse at some places (m,)."""
+        return self.between(np.eye(self.size)[places])
 
 
 def inverse_of(matrix: FloatArray, blocks: Sequence[Intp], border: Intp) -> Inverse:

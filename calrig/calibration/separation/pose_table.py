@@ -54,7 +54,7 @@ class MountedPoses:
     Attributes:
         unit: serial number.
         mount: a label.
-        nominal_deg: the angle at which it was clamped, as somebody said; None where nobody did. Reversed, the
+        nominal_deg: the angle at which it was clamped, as stated; None if it was not stated. Reversed, the
             unit's elevation is the dial's angle and this one, both with the other sign.
         source: the file or run they are of.
         axis: which of the unit's axes lies along the stage's.
@@ -257,7 +257,7 @@ def _refuse_no_gravity(lot: MountedPoses) -> None:
     if abs(size_g - 1.0) > GROSS_G:
         raise DiagnosisError(
             f"{lot.source}: mount {lot.mount}: accel_y_g and accel_z_g together are {size_g:g} g long, and "
-            "a unit at rest whose x lies along the stage feels 1 g"
+            "a unit at rest whose x lies along the stage measures 1 g"
         )
 
 
@@ -281,7 +281,7 @@ Figures = tuple[float, float]
 
 
 def _figures(pose: Pose) -> Figures:
-    """What is the same of a pose in a file that was written anew, with fewer digits or columns."""
+    """Return what is equal for a pose in a file that was written again, with fewer digits or columns."""
     return round(pose.theta_deg, 3), round(pose.reading_deg % 360.0, 3)
 
 
@@ -313,8 +313,8 @@ def _refuse_overlap(same: Sequence[MountedPoses]) -> None:
         else:
             continue
         raise DiagnosisError(
-            f"mount {one.mount} of unit {one.unit} {apart} ({one.source}, {other.source}): give what was "
-            "clamped anew a name of its own"
+            f"mount {one.mount} of unit {one.unit} {apart} ({one.source}, {other.source}): give each "
+            "remounting a name of its own"
         )
 
 
@@ -367,7 +367,7 @@ def _vectors(poses: Sequence[Pose]) -> FloatArray:
 
 
 def _temperatures(poses: Sequence[Pose], unit: FloatArray, n_units: int) -> tuple[FloatArray, FloatArray]:
-    """(n,) temperature less its unit's mean, 0 where not known, and (units,) that mean, NaN likewise."""
+    """Return (n,) temperature less its unit's mean, 0 if unknown, and (units,) that mean, NaN if unknown."""
     celsius = np.array([np.nan if p.temperature_c is None else p.temperature_c for p in poses])
     warmer, reference = np.zeros(len(poses)), np.full(n_units, np.nan)
     for k in range(n_units):
@@ -418,7 +418,7 @@ def _checked_whole(lot: MountedPoses, warnings: list[str]) -> MountedPoses | Non
     vectors, face = _whole_vectors(runs[0]), _face(lot)
     size_g = float(np.median(np.linalg.norm(vectors, axis=1)))
     if abs(size_g - 1.0) > GROSS_G:
-        raise DiagnosisError(f"{where}: |a| is {size_g:g} g, and a unit at rest feels 1 g")
+        raise DiagnosisError(f"{where}: |a| is {size_g:g} g, and a unit at rest measures 1 g")
     along_g = np.quantile(np.abs(vectors), MOST_POSES, axis=0)
     if along_g["xyz".index(face[-1])] > MOST_ALONG_G:
         level = "xyz"[int(np.argmin(along_g))]

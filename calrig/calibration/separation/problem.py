@@ -48,12 +48,12 @@ class Problem:
 
     Attributes:
         orders: of the map; whole numbers, or 360° over a gear's period.
-        linear: whether somebody states that the units are.
+        linear: whether the units are stated to be linear.
         correlation: of the noise from one pose of a mount to the next.
         shape: (units, c) noise of each component over that of all, root mean square; None of equal ones.
         columns: (n, 2m + 1) of the map.
         free: (p,) which parameters are to be found; the others are fixed at 0.
-        own: of each mount, `own_at`.
+        own: of each mount, places (k,) of what its poses touch beside the map; its angle is the last.
         blocks: places of what is free beside the map, in blocks that touch one another by the map alone.
     """
 
@@ -127,13 +127,9 @@ class Problem:
         """Places of the map, backlash and all."""
         return slice(self.first_order, self.size)
 
-    def own_at(self, mount: int) -> Intp:
-        """(k,) places of what the poses of a mount touch beside the map: its angle is the last."""
-        return self.own[mount]
-
     @property
     def n_own(self) -> int:
-        """How many those are."""
+        """How many parameters the poses of a mount touch beside the map."""
         return len(self.own[0])
 
     def title(self, place: int) -> str:
@@ -253,7 +249,7 @@ class Problem:
         gradient[self.map_at] = of_map[:-1, -1]
         ends = left.shape[1] * np.searchsorted(self.table.mount[kept], np.arange(len(self.table.mounts) + 1))
         for k in range(len(self.table.mounts)):
-            rows, at = white[ends[k] : ends[k + 1]], self.own_at(k)
+            rows, at = white[ends[k] : ends[k + 1]], self.own[k]
             products = rows[:, :own].T @ rows
             matrix[np.ix_(at, at)] += products[:, :own]
             matrix[at, self.map_at] += products[:, own:-1]

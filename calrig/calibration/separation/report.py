@@ -1,7 +1,4 @@
-"""The joint solution as CONTRACT section 8's document, of units in the plane and of whole ones.
-
-Also what each pose leaves of its angle, without the stage's map and with it: for pictures.
-"""
+"""Write the joint solution as CONTRACT section 8's document, and its pose residuals for figures."""
 
 from __future__ import annotations
 
@@ -100,7 +97,7 @@ def solution_document(
     Args:
         solution: of the poses.
         limits_deg: of the dial, which mounts are advised within.
-        progress: is told the share that is done.
+        progress: callback, called with the share that is done.
         frame: of the accelerometers' matrices.
     """
     fit, on_stage = solution.fit, mapped(solution.fit)

@@ -107,10 +107,10 @@ def solve(
     Args:
         lots: poses of each clamping, of one stage.
         linear: whether the units are stated to have no quadratic and cubic terms.
-        periods_deg: of gears, where somebody knows them.
-        seat_std_deg: how far one clamping scatters from the next on the same seat, where known; of
-            units in the plane.
-        progress: is told the share that is done.
+        periods_deg: of gears, as far as they are known.
+        seat_std_deg: repeatability of one clamping to the next on one seat, if it is known; only for units
+            in the plane.
+        progress: callback, called with the share that is done.
 
     Raises:
         DiagnosisError: the poses are too few, or cannot be what they are said to be.

@@ -1,17 +1,31 @@
-"""The stage's error of angle: a harmonic series of the dial angle, and the backlash.
+"""The stage map: the error of the stage's angle over its dial, as a rig's reference and by its series.
 
     map(ψ, approach) = Σ (a_k·cos kψ + b_k·sin kψ) + backlash/2·approach
 
-There is no k = 0: a constant is the mounts'. An order need be no whole number: a worm of period P has 360/P.
+There is no k = 0: a constant belongs to the mounts. An order need not be a whole number: a worm gear of
+period P has order 360°/P.
+
+A `StageMap` is the series with the covariance of its coefficients. An elevation is then dial + map(dial,
+approach). What remains uncertain is the map's own error δ: one smooth curve that all poses share, correlated
+between them by the covariance. √n does not shrink it; only its shape over these very poses does. The map's
+mean over its dial is no part of it, because each clamping has another one (level_known false): it is taken
+off values and covariance alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from calrig.calibration.poses import Pose
+from calrig.calibration.uncertainty.conformity import deg
+from calrig.canonical_json import sha256_of
 from calrig.estimation.angles import FloatArray
+from calrig.model.result import Reference
 
 TURN_DEG = 360.0
 HIGHEST_ORDER = 24
@@ -22,6 +36,12 @@ ROUND_DEG = 330.0
 """Dial angles over such an arc go round: the orders of the turn come apart."""
 SAME_DIAL_DEG = 0.01
 GRID_DEG = 2.0
+MAP_SCHEMA = "calrig.stage-map/1"
+MARGIN_DEG = 1.0
+"""A pose may stand so far beyond the dial angles that the map was made over: half of its own steps."""
+_RESTS = ("units", "unit"), ("solved_from", "run")
+_LEAST_EIGENVALUE = -1e-9
+"""Of a covariance, as a share of its greatest: what rounding leaves."""
 
 
 def basis(dial_deg: FloatArray, approach: FloatArray, orders: Sequence[float]) -> FloatArray:
@@ -71,3 +91,218 @@ def dial_grid_deg(dial_deg: FloatArray) -> FloatArray:
         low = at[first % len(at)]
         high = low + TURN_DEG - widest_gap_deg(dial_deg)
     return np.linspace(low, high, max(round((high - low) / GRID_DEG), 1) + 1)
+
+
+class MapError(ValueError):
+    """It is no stage's map that can be used; the message says what is wrong with it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageMap:
+    """A map that was solved for.
+
+    Attributes:
+        orders: of the series; whole numbers of the turn, or 360° over a gear's period.
+        coefficients_deg: (p,) cosine and sine of each order, then the play.
+        covariance_deg2: (p, p) of those.
+        dial_deg: (m,) the dial's angles that it was made over, ascending by equal steps.
+        sha256: of its document.
+        units, sources: what it rests on.
+    """
+
+    orders: tuple[float, ...]
+    coefficients_deg: FloatArray
+    covariance_deg2: FloatArray
+    dial_deg: FloatArray
+    sha256: str
+    units: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
+
+    @classmethod
+    def from_document(cls, document: object) -> StageMap:
+        """The map of a `stage-map.json`.
+
+        Raises:
+            MapError: it is none, was changed since it was made, is not finite, or is not known: the poses
+                that it was solved from did not part the stage from its units.
+        """
+        if not isinstance(document, dict) or document.get("schema") != MAP_SCHEMA:
+            raise MapError(f"is no stage's map (its schema is not {MAP_SCHEMA!r})")
+        try:
+            if document["sha256"] != sha256_of(document):
+                raise MapError("was changed since it was made: its sha256 is another one")
+            if document["separable"] is not True:
+                raise MapError("is of poses that do not part the stage from its units (`separable` is false)")
+            dial = np.array(document["map"]["stage_deg"], dtype=np.float64)
+            return cls._checked(document, np.array(document["covariance_deg2"], dtype=np.float64), dial)
+        except MapError:
+            raise
+        except (KeyError, TypeError, ValueError) as error:
+            raise MapError(f"is not as calrig makes it ({type(error).__name__}: {error})") from error
+
+    @classmethod
+    def from_frozen(cls, frozen: Mapping[str, Any]) -> StageMap:
+        """What `frozen` gave."""
+        size = len(frozen["coefficients_deg"])
+        covariance = np.zeros((size, size))
+        below = np.tril_indices(size)
+        low, high = frozen["dial_deg"]
+        covariance[below] = covariance.T[below] = frozen["covariance_deg2"]
+        return cls._checked(frozen, covariance, np.linspace(low, high, frozen["dial_steps"]))
+
+    @classmethod
+    def _checked(cls, told: Mapping[str, Any], covariance: FloatArray, dial: FloatArray) -> StageMap:
+        orders, coefficients = (
+            np.array(told[key], dtype=np.float64) for key in ("orders", "coefficients_deg")
+        )
+        size = 2 * len(orders) + 1
+        if orders.ndim != 1 or coefficients.shape != (size,) or covariance.shape != (size, size):
+            raise MapError(f"has {len(orders)} orders and not the {size} coefficients that go with them")
+        if dial.ndim != 1 or len(dial) < 2:
+            raise MapError("does not say over which angles of the dial it was made")
+        if not all(np.isfinite(part).all() for part in (orders, coefficients, covariance, dial)):
+            raise MapError("has a number in it that is not finite")
+        values = np.linalg.eigvalsh(covariance)
+        if not np.allclose(covariance, covariance.T) or values[0] < _LEAST_EIGENVALUE * max(values[-1], 0.0):
+            raise MapError("has a covariance that is none")
+        dial = np.linspace(dial[0], dial[-1], len(dial))
+        names = tuple(map(str, told.get("units", ()))), tuple(map(str, told.get("solved_from", ())))
+        return cls(tuple(orders.tolist()), coefficients, covariance, dial, str(told["sha256"]), *names)
+
+    def frozen(self) -> dict[str, Any]:
+        """All that a run keeps of the map it was made by, so that no result ever changes; for JSON."""
+        return {
+            "sha256": self.sha256,
+            "orders": list(self.orders),
+            "coefficients_deg": self.coefficients_deg.tolist(),
+            "covariance_deg2": self.covariance_deg2[np.tril_indices(len(self.coefficients_deg))].tolist(),
+            "dial_deg": [float(self.dial_deg[0]), float(self.dial_deg[-1])],
+            "dial_steps": len(self.dial_deg),
+            "std_deg": self.std_deg,
+            "units": list(self.units),
+            "solved_from": list(self.sources),
+        }
+
+    @property
+    def std_deg(self) -> float:
+        """Standard uncertainty over the dial's range, root mean square."""
+        middle = np.zeros(len(self.dial_deg))
+        return float(np.sqrt(np.mean(self.stds_deg(self.dial_deg, middle) ** 2)))
+
+    def stds_deg(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
+        """(n,) standard uncertainty at angles of the dial; approach 0 is the middle of the play."""
+        columns = self.columns(dial_deg, approach)
+        variance = np.einsum("ij,jk,ik->i", columns, self.covariance_deg2, columns)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def correction_deg(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
+        """(n,) what the elevation is more than the dial says."""
+        return np.asarray(self.columns(dial_deg, approach) @ self.coefficients_deg)
+
+    def columns(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
+        """(n, p) by its coefficients, the mean over the dial's range removed."""
+        level = basis(self.dial_deg, np.zeros(len(self.dial_deg)), self.orders).mean(axis=0)
+        return np.asarray(basis(dial_deg, approach, self.orders) - level)
+
+    def covers(self, dial_deg: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(n,) whether the map was made there: beyond, a series is a guess that no covariance tells of."""
+        low, high = float(self.dial_deg[0]), float(self.dial_deg[-1])
+        step = (high - low) / (len(self.dial_deg) - 1)
+        whole = all(order.is_integer() for order in self.orders)
+        if whole and high - low + step >= TURN_DEG:
+            return np.ones(len(dial_deg), dtype=np.bool_)
+        beyond = dial_deg - (low - MARGIN_DEG)
+        beyond = np.mod(beyond, TURN_DEG) if whole else beyond  # a gear stands otherwise a turn later
+        return np.asarray((beyond >= 0.0) & (beyond <= high - low + 2.0 * MARGIN_DEG))
+
+
+def dial_of(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
+    """(n,) angles of the dial and (n,) approaches, 0 where one is not known."""
+    dial = np.array([pose.dial_deg for pose in poses], dtype=np.float64)
+    return dial, np.array([pose.approach or 0 for pose in poses], dtype=np.float64)
+
+
+def with_map(poses: Sequence[Pose], stage_map: StageMap) -> list[Pose]:
+    """Poses with what a map adds to the dial; those beyond it without."""
+    dial, approach = dial_of(poses)
+    added = stage_map.correction_deg(dial, approach).tolist()
+    return [
+        replace(pose, map_deg=value) if within else pose
+        for pose, value, within in zip(poses, added, stage_map.covers(dial).tolist(), strict=True)
+    ]
+
+
+def in_words(frozen: Mapping[str, Any]) -> str:
+    """What a run that keeps this of its map rests on, such as `map 1f3a9c02 of 2026-11-22, 0.0041°, …`."""
+    at = f" of {frozen['solved_at'][:10]}" if frozen.get("solved_at") else ""
+    low, high = (f"{end:.4g}°".replace("-", "−") for end in frozen["dial_deg"])
+    rests = [f"{len(frozen[key])} {what}{'' if len(frozen[key]) == 1 else 's'}" for key, what in _RESTS]
+    return (
+        f"the stage's map {frozen['sha256'][:8]}{at}, {deg(frozen['std_deg'])} (k = 1) over {low} to {high} "
+        f"of the dial, solved from {rests[0]} in {rests[1]}"
+    )
+
+
+def beyond_in_words(poses: Sequence[Pose], stage_map: StageMap) -> str:
+    """Why a map was not used for a run."""
+    dial, _ = dial_of(poses)
+    out = dial[~stage_map.covers(dial)]
+    low, high = stage_map.dial_deg[0], stage_map.dial_deg[-1]
+    n = "1 pose stands" if len(out) == 1 else f"{len(out)} poses stand"
+    said = (
+        f"The stage's map was not used: {n} at dial angles of {out.min():.4g}° to {out.max():.4g}°, and it "
+        f"was made over {low:.4g}° to {high:.4g}°."
+    )
+    return said.replace("-", "−")
+
+
+def map_reference(
+    stage_map: StageMap,
+    theta_deg: FloatArray,
+    dial_deg: FloatArray,
+    approach: FloatArray,
+    *,
+    level: Reference | None = None,
+    bent: bool = False,
+) -> Reference:
+    """What the map is worth to a calibration of these very poses: type B, normal (GUM 5.2.2).
+
+    With δ the map's error at the poses, of covariance C = B·V·Bᵀ (B its columns, V the coefficients'), the
+    fit takes the least-squares line G·δ, G = pinv([1 θ]), for the unit's: (bias, scale) have scale²·G·C·Gᵀ. A
+    calibrated elevation relative to its mean over the range errs by the line's slope alone; what of δ is no
+    line stands in the scatter of the poses, hence in type A. Where curves were fitted to the unit as well
+    (`bent`), they may have taken that up: then the elevation is given the whole of δ about its mean, since a
+    projection lengthens nothing.
+
+    Args:
+        stage_map: in force.
+        theta_deg: (n,) elevations of the poses.
+        dial_deg: (n,) where the stage stood.
+        approach: (n,) from which side it came.
+        level: the stage's certificate. What it says of the mean over the range, which the map does not
+            know, stays in the bias.
+        bent: whether effects are taken out beside bias and scale.
+    """
+    columns = stage_map.columns(dial_deg, approach)
+    design = np.ones((len(theta_deg), 1))
+    straight = bool(np.ptp(theta_deg) > 0.0)
+    if straight:
+        design = np.column_stack([design, theta_deg])
+    by_line = np.linalg.pinv(design) @ columns
+    line = by_line @ stage_map.covariance_deg2 @ by_line.T
+    if bent:
+        about = columns - columns.mean(axis=0)
+        variance = float(np.einsum("ij,jk,ik->", about, stage_map.covariance_deg2, about)) / len(about)
+    else:
+        variance = float(line[1, 1]) * float(np.ptp(theta_deg)) ** 2 / 12.0 if straight else 0.0
+    whole = np.zeros((2, 2))
+    whole[: len(line), : len(line)] = line
+    if level is not None:
+        whole[0, 0] += level.std_deg**2
+    first, second = whole.tolist()
+    return Reference(
+        std_deg=math.sqrt(max(variance, 0.0)),
+        kind="map",
+        distribution="normal",
+        line_covariance=((first[0], first[1]), (second[0], second[1])),
+    )

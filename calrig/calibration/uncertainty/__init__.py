@@ -1,9 +1,10 @@
-"""Uncertainty budget, coverage factor, conformity with limits and its risk (GUM, JCGM 106)."""
+"""Uncertainty budget, coverage factor, conformity with limits, its risk, and the verdict (GUM, JCGM 106)."""
 
 from __future__ import annotations
 
 from calrig.calibration.uncertainty.budget import reference_figures, uncertainty
 from calrig.calibration.uncertainty.conformity import (
+    answer_of,
     cannot_pass,
     deg,
     limit_for,
@@ -29,13 +30,17 @@ from calrig.calibration.uncertainty.sequential_stopping import (
     has_the_line,
     turned_both_ways,
 )
+from calrig.calibration.uncertainty.verdict import IN_WORDS, between_runs, make_verdict, verdict_figures
 
 __all__ = [
     "AS_PLANNED",
     "COVERAGE",
+    "IN_WORDS",
     "REMOUNT_LIMIT_DEG",
     "Ending",
     "Line",
+    "answer_of",
+    "between_runs",
     "cannot_pass",
     "clamping_doubts",
     "coverage_factor",
@@ -43,6 +48,7 @@ __all__ = [
     "displacement_doubts",
     "has_the_line",
     "limit_for",
+    "make_verdict",
     "percent",
     "pose_doubts",
     "position_doubts",
@@ -54,4 +60,5 @@ __all__ = [
     "to_dicts",
     "turned_both_ways",
     "uncertainty",
+    "verdict_figures",
 ]

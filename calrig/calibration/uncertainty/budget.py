@@ -1,11 +1,4 @@
-"""Evaluate the uncertainty of a calibrated elevation (GUM): budget, U, errors over the range.
-
-What a calibrated elevation is worth: CONTRACT section 6's `uncertainty`, after the GUM.
-
-The error left of a calibrated elevation over its range, and how well it is known: limits rest on it.
-
-What a rig's reference made of a result, as the result keeps it.
-"""
+"""Evaluate the uncertainty of a calibrated elevation (GUM): budget, U, errors over the range."""
 
 from __future__ import annotations
 
@@ -89,7 +82,7 @@ def uncertainty(
     Args:
         line: the fit.
         theta_deg: (n,) elevations of the poses it rests on; their lowest and highest are the range.
-        reference: what the stage's own angle is worth; None where nobody has said.
+        reference: standard uncertainty of the stage's angle; None if it is not stated.
         scatter_deg: s of the reading, where it is not to be that of the poses about the line.
     """
     type_a = _type_a_deg(line, theta_deg, scatter_deg)

@@ -29,7 +29,7 @@ def coverage_factor(
     """The k with P(|A + B| ≤ k·√(a² + b²)) = coverage, for two independent errors A and B.
 
     A/a is Student's t of `freedom`: a is an estimate, and everything in it comes from the same scatter. B is
-    what somebody stated, known without degrees of freedom. A rectangular B, of half-width R = √3·b, is
+    stated, and known without degrees of freedom. A rectangular B, of half-width R = √3·b, is
     convolved with A: with H an antiderivative of t's distribution function,
 
         P(|A + B| ≤ U) = (a/R)·(H((U + R)/a) − H((U − R)/a)) − 1

@@ -90,8 +90,9 @@ def pose_doubts(result: Result, mismatches: int) -> list[Doubt]:
         found.append(
             Doubt(
                 "move_mismatch",
-                f"Not to be relied on: in {moves} the unit felt another turn than the stage reported; it may "
-                "have lost steps or slipped there, and poses before and after do not belong together.",
+                f"Not to be relied on: in {moves} the unit measured another rotation than the stage "
+                "reported; steps were lost or it slipped there, and poses before and after do not belong "
+                "together.",
             )
         )
     if result.lost_says:
@@ -219,8 +220,8 @@ def position_doubts(changed: Collection[Doubt], *, homes: bool) -> list[Doubt]:
     return [
         Doubt(
             "unmeasured_position",
-            "The stage has no homing: its position rests on memory or on what a person said. If the table "
-            "was turned meanwhile, the bias is wrong by as much.",
+            "The stage has no homing: its position is stored or was entered by a person. If the table was "
+            "rotated since, the bias is wrong by that angle.",
         )
     ]
 
@@ -228,12 +229,12 @@ def position_doubts(changed: Collection[Doubt], *, homes: bool) -> list[Doubt]:
 def displacement_doubts(
     before: Document, now: Document, still_accepted: Collection[str], against: str
 ) -> list[Doubt]:
-    """Return what would be lost if a calibration took the place of the one in force.
+    """Return what would be lost if a calibration replaced the one in force.
 
     Args:
         before: the document in force, CONTRACT section 6.
         now: the content of the new one.
-        still_accepted: names of the unit's effects that nobody has taken back.
+        still_accepted: names of the unit's effects whose acceptance was not revoked.
         against: names the revision in force, for the sentence.
     """
     then_deg, now_deg = before["expanded_uncertainty_deg"], now["expanded_uncertainty_deg"]

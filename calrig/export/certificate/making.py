@@ -11,7 +11,7 @@ from typing import Any
 
 import calrig
 from calrig.calibration.poses import of_first_mount
-from calrig.calibration.verdict import IN_WORDS
+from calrig.calibration.uncertainty import IN_WORDS
 from calrig.export.certificate import wording
 from calrig.export.certificate.content import CalibrationItem as ItemSaid
 from calrig.export.certificate.content import (

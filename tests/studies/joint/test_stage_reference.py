@@ -11,7 +11,7 @@ import pytest
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
 from calrig.calibration.separation.map_validity import checked
-from calrig.calibration.separation.stage_reference import MapError, StageMap, dial_of, map_reference, with_map
+from calrig.calibration.separation.stage_map import MapError, StageMap, dial_of, map_reference, with_map
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.canonical_json import sha256_of
 from calrig.export.solution_documents import stage_map_document

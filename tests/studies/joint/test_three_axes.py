@@ -82,7 +82,7 @@ def test_derivatives_are_those_of_the_vectors(solution):
     of_map = np.arange(fit.problem.first_order, fit.problem.size)
     for mount in range(len(fit.problem.table.mounts)):
         rows = fit.problem.table.mount == mount
-        at = np.concatenate([fit.problem.own_at(mount), of_map])
+        at = np.concatenate([fit.problem.own[mount], of_map])
         for k in (0, 4, 7, 10, 13, 18, 19, 20, 21, 22, 25):
             change = np.zeros(len(fit.parameters))
             change[at[k]] = step

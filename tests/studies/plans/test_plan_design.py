@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calrig.calibration.line import fit_line
-from calrig.calibration.plan_design.design import limit_s, quickest, within
+from calrig.calibration.plan_design.design import allowed_deg, limit_s, quickest, within
 from calrig.calibration.plan_design.design_problem import (
     DesignProblem,
     Goals,
@@ -19,7 +19,6 @@ from calrig.calibration.plan_design.design_problem import (
 )
 from calrig.calibration.plan_design.layout import Pace, Precision, Turning, layout, precision_of_run
 from calrig.calibration.plan_design.smallest_effects import imagined_dwells, suspects
-from calrig.calibration.plan_design.traced import allowed_deg
 from calrig.calibration.uncertainty.budget import Reference, uncertainty
 from calrig.instruments.axis import travel_time_s
 from calrig.plan import Plan

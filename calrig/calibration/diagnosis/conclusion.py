@@ -1,61 +1,44 @@
-"""How much more than it should noise alone leaves: the one bound for runs, revisions and diagnoses.
+"""State what a diagnosis concludes, and whether it is good news.
 
-Whether a diagnosis is good news: names count only where the error on held-out poses falls with them.
-
-Held-out poses lie between the others, and in blocks of their own: the claim rests on those that the effects
-help less. Noise is called so only where the pure error allows it.
+A name is good news only if the error on held-out poses falls with it. Held-out poses lie between the
+others, and in contiguous blocks: the claim rests on the folds that the effects help less. A residual is
+called noise only if the pure error allows it. The verdict on a run's result is made elsewhere:
+`calrig.calibration.uncertainty.verdict`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
-
-CONFIDENCE = 0.99
-"""Noise alone is accused of leaving more than noise in one run of a hundred, as by the diagnosis' gate."""
-
-
-def upper_limit(freedom: float) -> float:
-    """What a residual over its noise stays under with probability `CONFIDENCE`, by its degrees of freedom.
-
-    With the noise known, Σr²/s² is χ² with ν degrees of freedom (Draper & Smith, Applied Regression Analysis,
-    1998, section 2.1), so that √(χ²(0.99; ν)/ν) bounds the ratio: 1.34 of 24, 1.08 of 498.
-    """
-    from scipy.special import chdtri
-
-    return math.sqrt(float(chdtri(freedom, 1.0 - CONFIDENCE)) / freedom)
-
+from calrig.calibration.uncertainty.verdict import SAME_EFFECT, between_runs, not_repeated_better
 
 Document = Mapping[str, Any]
-ELSEWHERE = "the same at another period"
-"""An effect that is confusable with itself: only the spacing of the poses could tell."""
 
 
 @dataclass(frozen=True, slots=True)
-class DiagnosisVerdict:
-    """What a person should make of a diagnosis.
+class Conclusion:
+    """What a diagnosis says of itself.
 
     Attributes:
-        grade: `good`, the effects are named, the error on poses that decided nothing has fallen, and what is
-            left is not several times the pure error; `unknown`, no effect was found; else `fair`.
-        says: the same in sentences, the answer first.
+        grade: `good`: the effects are named, the error on poses not used for the decision has fallen, and the
+            residual is not several times the pure error; `unknown`: no effect was found; else `fair`.
+        says: the conclusion in sentences, the answer first.
     """
 
     grade: Literal["good", "fair", "unknown"]
     says: tuple[str, ...]
 
 
-def diagnosis_verdict(diagnosis: Document, decided: int | None = None) -> DiagnosisVerdict:
-    """Judges a diagnosis by its errors before and after on held-out and on confirming poses.
+def conclude(diagnosis: Document, decided: int | None = None) -> Conclusion:
+    """Grade a diagnosis by its errors before and after, on held-out and on confirming poses.
 
     Args:
         diagnosis: CONTRACT section 5.
-        decided: how many poses of the confirming run served to decide; None without one.
+        decided: number of poses of the confirming run that served to decide; None without such a run.
     """
     fresh = diagnosis["confirmed_by"]
     confirmed = fresh is None or fresh["after_rms_deg"] < fresh["before_rms_deg"]
@@ -71,10 +54,10 @@ def diagnosis_verdict(diagnosis: Document, decided: int | None = None) -> Diagno
     if fresh is not None:
         says.append(_confirmation(fresh, decided, confirmed=confirmed))
     if diagnosis["verdict"] == "nothing":
-        return DiagnosisVerdict("unknown", tuple(says))
+        return Conclusion("unknown", tuple(says))
     explained = (_times_pure_error(diagnosis) or 0.0) < SEVERAL
     good = diagnosis["verdict"] == "named" and fell and confirmed and explained
-    return DiagnosisVerdict("good" if good else "fair", tuple(says))
+    return Conclusion("good" if good else "fair", tuple(says))
 
 
 def _answer(diagnosis: Document) -> str:
@@ -101,25 +84,8 @@ def _nothing(diagnosis: Document) -> str:
     return "No effect found: the residual is consistent with noise"
 
 
-def not_repeated_better(diagnosis: Document) -> list[str]:
-    """Why a residual may be more than the noise of its dwells, and yet have no cause that poses could show.
-
-    Empty where it is no more than noise, or more than poses repeat to.
-    """
-    noise = diagnosis.get("noise") or {}
-    floor_deg, tested = noise.get("floor_deg"), noise.get("lack_of_fit")
-    if not floor_deg or tested is None or tested["rejected"]:
-        return []
-    if noise["std_deg"] <= floor_deg * upper_limit(max(tested["freedom"][0], 1.0)):
-        return []
-    return [
-        f"Revisited poses repeat no better than {_deg(noise['pure_error_deg'])}, where the noise within a "
-        f"dwell is {_deg(floor_deg)}: the rig does not return to one place, or the filter has not settled."
-    ]
-
-
 def _rest(diagnosis: Document) -> list[str]:
-    """What effects have not explained, where it is more than noise."""
+    """Say what the effects do not explain, if it exceeds noise."""
     tested = diagnosis["noise"].get("lack_of_fit")
     if not tested or not tested["rejected"]:
         return []
@@ -137,20 +103,20 @@ def _more_than_noise(diagnosis: Document) -> str:
 
 
 def _times_pure_error(diagnosis: Document) -> float | None:
-    """The residual over the pure error; None where that is not known."""
+    """Return the residual over the pure error; None if that is unknown."""
     noise = diagnosis["noise"]
     pure_deg = noise.get("pure_error_deg")
     return noise["std_deg"] / pure_deg if pure_deg else None
 
 
 def _errors(diagnosis: Document, key: str) -> tuple[float, float] | None:
-    """RMS before and after in degrees; None where they were not measured."""
+    """Return the RMS before and after, degrees; None if they were not measured."""
     before, after = (diagnosis[model].get(key) for model in ("base", "final"))
     return None if before is None or after is None else (before, after)
 
 
 def _held_out(between: tuple[float, float], apart: tuple[float, float] | None) -> str:
-    """The error on held-out poses, by the folds that the effects help less."""
+    """Say the error on held-out poses, by the folds that the effects help less."""
     if between[1] >= between[0]:
         return (
             "The error on held-out poses has not decreased: with so few poses the search does not find the "
@@ -175,7 +141,7 @@ def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
 
 
 def _title(effect: Document) -> str:
-    """Of the catalogue, as it stands inside a sentence."""
+    """Return the title of an effect for the middle of a sentence."""
     if effect["name"] == UNNAMED:
         return f"something that follows {covariate_of(effect['covariate']).title}{between_runs(effect)}"
     title = EFFECTS[effect["name"]].title
@@ -183,15 +149,9 @@ def _title(effect: Document) -> str:
 
 
 def _suspects(effect: Document) -> str:
-    others = (ELSEWHERE if name == effect["name"] else name for name in effect["confusable_with"])
+    others = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
     names = " or ".join(name.replace("_", " ") for name in (effect["name"], *others))
     return names + between_runs(effect)
-
-
-def between_runs(effect: Document) -> str:
-    """Such as `, changed from run 17 to run 18`; empty of what was the same in all runs."""
-    changed = effect.get("changed")
-    return f", changed from run {changed['from']} to run {changed['to']}" if changed else ""
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:
