@@ -28,7 +28,9 @@ from command_line import calrig, reason
         pytest.param("[]", "plan.json: is not an object", id="no object"),
         pytest.param('{"seed": ' + "1" * 5000 + "}", "plan.json: has a number in it", id="too many digits"),
         pytest.param("[" * 100_000, "plan.json: is nested too deeply", id="too deep"),
-        pytest.param("{} " + " " * 1_000_000, "plan.json: larger than the maximum of 1000000 bytes", id="too large"),
+        pytest.param(
+            "{} " + " " * 1_000_000, "plan.json: larger than the maximum of 1000000 bytes", id="too large"
+        ),
     ],
 )
 def test_a_plan_at_fault_is_2_and_says_where(folder, plan, words):
