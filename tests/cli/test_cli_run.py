@@ -73,5 +73,5 @@ def test_that_no_unit_can_pass_is_said_before_the_stage_is_even_looked_for(folde
     limit = '[[limit]]\nname = "flight"\nmax_error_deg = 0.3\nrule = "guarded"\n'
     (folder / "calrig.toml").write_text(limit + (folder / "calrig.toml").read_text())
     warning, failure = calrig("run", "--unit", "A", status=1).stderr.splitlines()
-    assert warning.startswith("warning: No unit can pass on this stage: its rig does not say")
+    assert warning.startswith("warning: No unit can pass on this stage")
     assert re.match(r"calrig: run [0-9a-f-]{36} failed", failure)
