@@ -20,7 +20,6 @@ from calrig.analysis.stored_runs import (
 from calrig.calibration.diagnosis import PartialResidual, partial_residuals, trace
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
-from calrig.model.diagnosis import Diagnosis, EffectFound
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Run
 
@@ -122,8 +121,8 @@ class Acceptance:
         """
         run, diagnosis = stored_run(self._store, run_id), Diagnoses(self._store).last(run_id)
         # what was the same in all runs goes before what changed between two of them
-        found = sorted(Diagnosis.model_validate(diagnosis).effects, key=lambda one: one.changed is None)
-        known = {effect.name: effect for effect in found}
+        found = sorted(diagnosis["effects"], key=_is_change, reverse=True)
+        known = {effect["name"]: effect for effect in found}
         accepted = []
         for name in names:
             if name not in known:
@@ -160,20 +159,24 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(name.replace("_", " ") for name in names)
 
 
-def _accepted(run: Run, effect: EffectFound) -> AcceptedEffect:
-    name, origin = effect.name, effect.origin
-    if effect.verdict != "named":
-        raise Conflict(f"{name} is {effect.verdict}, not named: separate it from its competing effects first")
+def _is_change(effect: dict[str, Any]) -> bool:
+    return effect.get("changed") is not None
+
+
+def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
+    name, origin = effect["name"], effect["origin"]
+    if effect["verdict"] != "named":
+        raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
     if name not in EFFECTS:
         raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
-    if effect.changed is not None:
+    if _is_change(effect):
         raise Conflict(f"{name} changed between two runs: diagnose the latest alone, for the values in force")
     scope = EFFECTS[name].scope
     if scope == "run":
-        raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect.remedy}")
+        raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
     if scope == "rig" and run.rig is None:
         raise Conflict(f"{name} belongs to the stage, and run {run.id} names no rig")
-    parameters = {key: one.value if one else None for key, one in effect.parameters.items()}
+    parameters = {key: value and value["value"] for key, value in effect["parameters"].items()}
     return AcceptedEffect(
         run_id=run.id,
         unit=run.unit if scope == "unit" else None,

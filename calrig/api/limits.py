@@ -18,7 +18,7 @@ MOST_LIMITS = 100
 router = APIRouter(tags=["limits"])
 
 
-@router.get("/api/limits", response_model=list[Limit], summary="The limits, in order")
+@router.get("/api/limits", summary="The limits, in order")
 def list_limits(context: Context) -> list[Limit]:
     """The first that matches a unit (and rig) applies."""
     return context.store.limits.all()
@@ -27,7 +27,6 @@ def list_limits(context: Context) -> list[Limit]:
 @router.put(
     "/api/limits",
     dependencies=[requires("admin")],
-    response_model=list[Limit],
     responses=problems(409, 413, 422),
     summary="Replace the limits",
 )

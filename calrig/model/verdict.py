@@ -18,12 +18,18 @@ Interval = tuple[float, float]
 
 
 class Limit(Model):
-    """Limits that units are tested against (CONTRACT section 2); null in a field sets no limit.
+    """What a unit must comply with (CONTRACT section 2, `/api/limits`); None sets no limit on that figure.
 
-    `units` is a pattern of serial numbers, `*` and `?` as in file names, case-sensitive; `rig` restricts it
-    to results of that rig. `max_error_deg` limits the error of a calibrated elevation over the range,
-    `rms_deg` the RMS residual after everything accepted; `bias_deg` and `scale` are lowest and highest.
-    `guard` is w/U of the guarded rule.
+    Attributes:
+        name: title for users.
+        units: pattern of serial numbers, `*` and `?` as in file names, case-sensitive.
+        rig: only results of this rig; None for all.
+        max_error_deg: largest error of a calibrated elevation over the range.
+        bias_deg, scale: lowest and highest allowed value.
+        rms_deg: RMS of the residual after every accepted effect.
+        expanded_uncertainty_deg: largest allowed expanded uncertainty.
+        rule: decision rule, `simple` or `guarded`.
+        guard: guard band w over U of the guarded rule.
     """
 
     name: str

@@ -28,7 +28,9 @@ from command_line import calrig, reason
         pytest.param("[]", "plan.json: is not an object", id="no object"),
         pytest.param('{"seed": ' + "1" * 5000 + "}", "plan.json: has a number in it", id="too many digits"),
         pytest.param("[" * 100_000, "plan.json: is nested too deeply", id="too deep"),
-        pytest.param("{} " + " " * 1_000_000, "plan.json: has more than 1000000 bytes", id="too large"),
+        pytest.param(
+            "{} " + " " * 1_000_000, "plan.json: larger than the maximum of 1000000 bytes", id="too large"
+        ),
     ],
 )
 def test_a_plan_at_fault_is_2_and_says_where(folder, plan, words):
@@ -71,5 +73,5 @@ def test_that_no_unit_can_pass_is_said_before_the_stage_is_even_looked_for(folde
     limit = '[[limit]]\nname = "flight"\nmax_error_deg = 0.3\nrule = "guarded"\n'
     (folder / "calrig.toml").write_text(limit + (folder / "calrig.toml").read_text())
     warning, failure = calrig("run", "--unit", "A", status=1).stderr.splitlines()
-    assert warning.startswith("warning: No unit can pass on this stage: its rig does not say")
+    assert warning.startswith("warning: No unit can pass on this stage")
     assert re.match(r"calrig: run [0-9a-f-]{36} failed", failure)
