@@ -16,7 +16,7 @@ from calrig.export.formats.imucal import imucal
 from calrig.export.formats.kalibr import kalibr
 from calrig.export.formats.px4 import px4
 from calrig.export.formats.vins import vins
-from calrig.export.triads import NotHeldError
+from calrig.export.triads import NotHeldError, accelerometer_of
 from calrig.noise.report import report
 
 G_MPS2 = 9.80665
@@ -248,3 +248,11 @@ def test_noise_that_was_not_measured_is_not_made_up(noise):
     without = {name: one for name, one in noise["channels"].items() if name != "gyro_y_dps"}
     with pytest.raises(NotHeldError, match="white noise of gyro_y_dps"):
         kalibr({**noise, "channels": without}, "")
+
+
+def test_the_axes_of_a_planar_calibration_undo_gain_and_skew():
+    """CONTRACT section 5: y measures gain·(a_y + a_z·sin skew)."""
+    mismatch = {"name": "axis_mismatch", "parameters": {"gain_pct": 2.0, "skew_deg": 3.0}}
+    found = accelerometer_of({**issued(), "effects": [mismatch], "accelerometer": None})
+    raw_g = np.array([0.0, 1.02 * (0.6 + 0.8 * np.sin(np.radians(3.0))), 0.8])
+    np.testing.assert_allclose(found.true_g(raw_g)[1:], [0.6, 0.8], atol=1e-12)

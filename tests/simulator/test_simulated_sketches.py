@@ -13,7 +13,7 @@ from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import board_of
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.sketch_board import BOOT_S, SketchBoard
-from calrig.simulator.sketches import Motion, tilt
+from calrig.simulator.sketches import Motion, si, tilt
 
 NUMBER = r"-?\d+\.\d\d"
 LINES = {
@@ -293,3 +293,8 @@ def test_a_sensor_whose_x_points_up_by_thirty_degrees_has_pitch_minus_thirty():
     """Freescale AN3461, equations 25 and 26: pitch = atan(−Gx/√(Gy² + Gz²)), gravity read as +1 g upward."""
     still = Motion((math.sin(math.radians(30)), 0.0, math.cos(math.radians(30))), (0.0, 0.0, 0.0), 25.0, 0.0)
     assert tilt(still) == pytest.approx((0.0, -30.0))
+
+
+def test_adafruits_sketches_print_metres_per_second_squared_and_radians_per_second():
+    accel, gyro = si(Motion((0.0, -1.0, 1.0), (180.0, -90.0, 0.0), 25.0, 0.0))
+    assert (accel, gyro) == (["0.00", "-9.81", "9.81"], ["3.14", "-1.57", "0.00"])
