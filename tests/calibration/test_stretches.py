@@ -164,15 +164,15 @@ def test_what_the_gyros_bias_of_a_pass_is_wrong_by_is_no_noise_of_its_moves():
 
 
 def test_what_creeps_behind_a_sweep_is_a_first_order_lag_integrated_step_by_step():
-    """A dwell, five segments of 1.2 s at 5 °/s, a dwell: the mean of each, and the growth between them."""
+    """A dwell, five segments of 1.2 s at 5 °/s, a dwell, one back: the means, and the growth between them."""
     pace_dps, lag_s, lasts_s = 5.0, 0.8, 1.2
     fine_s = np.arange(-2.0, 20.0, 1e-4)
     begins_s, ends_s = 3.0, 11.0
-    stage_deg = pace_dps * (np.clip(fine_s, begins_s, ends_s) - begins_s)
+    stage_deg = pace_dps * (np.clip(fine_s, begins_s, ends_s) - np.clip(fine_s, 15.0, 18.0))
     decay = np.exp(-1e-4 / lag_s)
     creep_deg = lfilter([decay], [1.0, -decay], np.diff(stage_deg, prepend=stage_deg[0]))
-    time_s = np.array([1.0, 4.0, 5.5, 7.0, 8.5, 10.0, 13.0])
-    turning = np.array([False, True, True, True, True, True, False])
+    time_s = np.array([1.0, 4.0, 5.5, 7.0, 8.5, 10.0, 13.0, 16.0])
+    turning = np.array([False, True, True, True, True, True, False, True])
     theta_deg = np.interp(time_s, fine_s, stage_deg)
 
     found = behind(time_s, theta_deg, np.where(turning, pace_dps * lasts_s, 0.0), time_s == 1.0, lag_s)
