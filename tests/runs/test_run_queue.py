@@ -32,7 +32,7 @@ def test_runs_that_wait_begin_in_order_once_the_rig_is_free(
     assert service.rigs()[0].run_id == first.id
     with pytest.raises(Conflict, match="cannot be paused"):
         service.pause(second.id)
-    with pytest.raises(Conflict, match="where the stage stands"):
+    with pytest.raises(Conflict, match="stage_at_deg"):
         service.start(unit="Q-4", plan=SHORT, queue=True, stage_at_deg=3.0)
     service.abort(first.id)
     until(lambda: service.run(third.id).status == "completed", "end of the last")
