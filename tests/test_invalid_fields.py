@@ -76,9 +76,9 @@ def test_of_many_mistakes_the_first_few_are_told_and_the_others_counted():
 
 
 def test_the_names_are_those_of_the_page():
-    """`field("sweeps", "Sweeps", …)` in the form of the plan; what follows a comma tells its use."""
+    """`spec("sweeps", "Sweeps", …)` in the form of the plan; what follows a comma tells its use."""
     form = (packed("web") / "plan.js").read_text()
-    shown = dict(re.findall(r'field\("(\w+)", "([^",]+)', form))
+    shown = dict(re.findall(r'(?:spec|field)\("(\w+)", "([^",]+)', form))
     assert len(shown) >= 10
     titles = {**COMMON, **Until.TITLES, **Plan.TITLES}
     assert {name: titles[name] for name in shown} == shown

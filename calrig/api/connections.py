@@ -14,6 +14,7 @@ import socket
 from collections.abc import Callable
 from typing import Any, cast
 
+import h11
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -85,7 +86,7 @@ class Connection(Place, asyncio.Protocol):
         self._network: str | None = None
         self._deadline: asyncio.TimerHandle | None = None  # of a head, of a body's rest, of lingering
         self._request: object = None
-        self._expects_more = self._awaits_body = self._has_begun = self.is_lingering = False
+        self._awaits_body = self._has_begun = self._is_late = self.is_lingering = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take the connection; if there are too many, replace another one."""
@@ -141,8 +142,8 @@ class Connection(Place, asyncio.Protocol):
         return self.is_lingering or self._transport.is_closing()
 
     def write(self, data: bytes) -> None:
-        """Send data, unless the connection is closing."""
-        if not self.is_closing():
+        """Send data, unless the connection lingers; what asyncio closes still takes it into its buffer."""
+        if not self.is_lingering:
             self._transport.write(data)
 
     def close(self) -> None:
@@ -169,12 +170,9 @@ class Connection(Place, asyncio.Protocol):
         async def next_piece() -> Message:
             self._awaits_body = self._expects_more
             try:
-                message = await receive()
+                return await receive()
             finally:
                 self._awaits_body = False
-            if message["type"] == "http.request":
-                self._expects_more = message.get("more_body", False)
-            return message
 
         async def noted(message: Message) -> None:
             is_last = message["type"] == "http.response.body" and not message.get("more_body", False)
@@ -183,8 +181,6 @@ class Connection(Place, asyncio.Protocol):
                 self._end_answer(request)
 
         self._request = request = object()
-        names = {name for name, _ in scope["headers"]}
-        self._expects_more = bool(names & {b"content-length", b"transfer-encoding"})
         self._since_s = self._loop.time()
         if not self.is_lingering:
             self._end_in(0, None)
@@ -204,6 +200,11 @@ class Connection(Place, asyncio.Protocol):
                 self._end_in(REST_S, self.abort)
             else:
                 self._end_in(HEAD_S, self._end_late_head)
+
+    @property
+    def _expects_more(self) -> bool:
+        """Whether the client is in the midst of a request."""
+        return self._is_late or self._http.conn.their_state is h11.SEND_BODY
 
     @property
     def waits_for_client(self) -> bool:
@@ -246,10 +247,18 @@ class Connection(Place, asyncio.Protocol):
             min(kept, key=lambda c: (not c.waits_for_client, c._since_s)).abort()
 
     def _end_in(self, seconds: float, end: Callable[[], None] | None) -> None:
-        """Replace the deadline; `None` removes it."""
+        """Replace the deadline; `None` removes it.
+
+        A request that has come by the deadline begins first, and removes it: else one that is carried out
+        would be answered by 408. Its task takes one more turn of a busy event loop.
+        """
+
+        def at_deadline(end: Callable[[], None]) -> None:
+            self._deadline = self._loop.call_later(0, end)
+
         if self._deadline is not None:
             self._deadline.cancel()
-        self._deadline = self._loop.call_later(seconds, end) if end else None
+        self._deadline = self._loop.call_later(seconds, at_deadline, end) if end else None
 
     def _begin_unread(self) -> None:
         if self not in self._all.unread:
@@ -266,5 +275,5 @@ class Connection(Place, asyncio.Protocol):
                 b"HTTP/1.1 408 Request Timeout\r\nconnection: close\r\ncontent-type: application/json\r\n"
                 b"content-length: %d\r\n\r\n%s" % (len(body), body)
             )
-            self._expects_more = True
+            self._is_late = True
         self.close()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from calrig.cli.progress import LOOK_S, Notice, Refusal
+from calrig.client.documents import typed
 from calrig.client.errors import CONFLICT, Refused, ServiceError, Unreachable
 from calrig.errors import WorkError
 from calrig.model.run import Mount, Progress
@@ -70,7 +71,10 @@ class FollowedRun:
     def turn(self, wanted: Mount) -> None:
         """Has the rig's clamp rotate the unit."""
         with _refusals():
-            self._client.post(f"/api/rigs/{quote(str(self._rig), safe='')}/clamp", wanted.model_dump())
+            self._client.post(
+                f"/api/rigs/{quote(str(self._rig), safe='')}/clamp",
+                {"mount_deg": wanted.mount_deg, "mount_axis": wanted.mount_axis},
+            )
 
     def document(self) -> object:
         """As the API gives it."""
@@ -91,7 +95,7 @@ class FollowedRun:
         if event.type == "state":
             self.status = event.data["status"]
         elif event.type == "progress":
-            self.progress = Progress.model_validate(event.data)
+            self.progress = typed(Progress, event.data)
 
 
 @contextmanager

@@ -285,10 +285,10 @@ def print_end(ended: object, *, as_json: bool) -> None:
     from calrig.cli import output
     from calrig.client.documents import RunRecord, typed
 
-    run = typed(RunRecord, ended)
     if as_json:
         output.print_json(ended)
-    else:
+    run = typed(RunRecord, ended)
+    if not as_json:
         output.print_result(run)
     if run.status != "completed":
         why = f": {run.error}" if run.error else ""

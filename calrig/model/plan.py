@@ -86,7 +86,7 @@ class Plan(BaseModel):
         "sweeps": "Sweeps",
         "settle_s": "Settling time",
         "dwell_s": "Dwell time",
-        "jitter_deg": "Jitter of each elevation",
+        "jitter_deg": "Elevation jitter",
         "rate_hz": "Sample rate",
         "target_std_deg": "Dwell until standard error",
         "velocity_dps": "Stage velocity",

@@ -27,7 +27,7 @@ DoubtKind = Literal[
 ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Doubt:
     """One reason why a calibration stays a draft until a person releases it.
 
@@ -56,7 +56,7 @@ class Gyro(Model):
     scale_std: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Reference:
     """What the stage's own angle is worth: a standard uncertainty, shared among poses as `kind` says.
 
@@ -92,7 +92,7 @@ class ReferenceFigures(Model):
         return Reference(self.std_deg, self.kind, self.distribution, self.line_covariance)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RangeErrors:
     """The line that was found and, over the range, the error that is left once everything is applied.
 

@@ -87,7 +87,7 @@ class VerdictFigures(Figures):
     relied_on: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Verdict:
     """CONTRACT section 2, "Verdict".
 

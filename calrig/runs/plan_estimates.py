@@ -333,7 +333,7 @@ def require_reachable(
 ) -> None:
     """Raises Invalid where no run of a plan could end by its `until`: the reference is not worth so much.
 
-    Arguments as of `reference_worth`.
+    Arguments as of `reference_uncertainty`.
     """
     if plan.until is None or plan.until.expanded_uncertainty_deg is None:
         return

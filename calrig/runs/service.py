@@ -145,18 +145,19 @@ class RunService:
             except Conflict:
                 if not waits or self.crew.is_closing:
                     raise
-                return self._wait_in_turn(settings.name, wanted, len(planned))
-            run = wanted.keep(self.store, settings.name, len(planned))
-            task = RunAssignment(
-                run,
-                settings,
-                plan,
-                planned,
-                wanted.follow_up,
-                wanted.verifies,
-                stage_at_deg=wanted.stage_at_deg,
-            )
-            self._start_worker(task)
+                run = self._wait_in_turn(settings.name, wanted, len(planned))
+            else:
+                run = wanted.keep(self.store, settings.name, len(planned))
+                task = RunAssignment(
+                    run,
+                    settings,
+                    plan,
+                    planned,
+                    wanted.follow_up,
+                    wanted.verifies,
+                    stage_at_deg=wanted.stage_at_deg,
+                )
+                self._start_worker(task)
         return self.run(run.id)
 
     def _start_worker(self, task: RunAssignment) -> None:

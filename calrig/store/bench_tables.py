@@ -35,9 +35,6 @@ def queue_of(bench: str, rig: str) -> str:
     return f"rig:{bench}/~{hashlib.sha256(rig.encode()).hexdigest()[:12]}"
 
 
-# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
-
-
 class BenchTable(SQLModel, table=True):
     """A bench that has joined: its database role, and what it last said of itself."""
 

@@ -216,7 +216,7 @@ class Orders(Repository):
         """Makes a queued run and orders its bench to begin it, all at once or not at all.
 
         `more` is what the bench needs to know beside the run itself; with `waits` the run waits its turn
-        where the rig is busy. The other arguments are those of `Store.create_run`.
+        where the rig is busy. The other arguments are those of `Runs.create`.
 
         Raises:
             Refused: the rig is busy, and with which run.

@@ -106,7 +106,7 @@ def _motion_of(provenance: Document, planned: Document) -> dict[str, float]:
 
 
 class RunChanges(TypedDict, total=False):
-    """What `Store.update_run` can change."""
+    """What `Runs.update` can change."""
 
     status: Status
     error: str | None

@@ -71,7 +71,7 @@ class Verdicts(Repository):
     def judged_runs(
         self, sought: Sought, judged: Judged, *, limit: int = 50, cursor: str | None = None
     ) -> RunPage:
-        """Return a page of the runs with a verdict, as `sought_runs` does; a short page need not be the last.
+        """Return a page of the runs with a verdict, as `Runs.search` does; a short page need not be the last.
 
         Raises:
             ValueError: as there.

@@ -24,6 +24,7 @@ from calrig.client import (
     documents,
 )
 from calrig.errors import InputError, WorkError
+from calrig.model.diagnosis import ChangedBetween
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +146,24 @@ def test_a_field_that_a_newer_service_adds_is_kept(service):
     newer = [{**rig.model_dump(), "colour": "red"} for rig in service.rigs()]
     (rig,) = documents.each(RigState, newer)
     assert (rig.colour, rig["name"]) == ("red", rig.name)
+    with pytest.raises(KeyError):
+        rig["weight"]
+
+
+def test_a_field_that_a_newer_service_adds_is_kept_at_every_depth(finished):
+    """`calrig run` against a newer service ends with its result and not in an error."""
+    run, _ = finished
+    newer = run.record.model_dump(mode="json")
+    newer = {**newer, "verdict": {**newer["verdict"], "colour": "red"}}
+    newer["result"] = {**newer["result"], "over_range": {**newer["result"]["over_range"], "colour": "red"}}
+    record = documents.typed(RunRecord, newer)
+    assert record.verdict.colour == record.result.over_range.colour == "red"
+
+
+def test_a_key_that_is_a_word_of_python_is_read_by_its_name_in_json():
+    """As programs have it that were written when these were dictionaries."""
+    change = ChangedBetween.model_validate({"from": "a", "to": "b"})
+    assert change["from"] == change.from_ == change.model_dump()["from"] == "a"
 
 
 def test_importing_calrig_imports_no_client_and_the_client_nothing_heavy():

@@ -170,7 +170,7 @@ def test_a_unit_that_was_turned_meanwhile_is_noticed(
     again.resume(left.id)
     ended = again.wait(left.id, 30)
     assert ended.status == "interrupted"
-    assert "the unit reads +1." in ended.error and "start a new run" in ended.error
+    assert "changed by +1." in ended.error and "start a new run" in ended.error
     assert len(store.poses.of(left.id)) == left.progress.poses_done
 
 

@@ -302,7 +302,7 @@ def test_a_lone_run_of_too_few_poses_is_refused_with_the_reason_and_the_page_goe
     run = imported(client, noise_alone()[:6], "SHORT")
     go(f"#/runs/{run['id']}")
     page.locator("#together summary").click()
-    expect(page.locator("#together")).to_contain_text("other completed run")
+    expect(page.locator("#together")).to_contain_text("No other completed run")
     page.click("#diagnose")
     expect(page.locator("#diagnosis-error")).to_contain_text("too few")
     expect(page.locator("#diagnose")).to_be_enabled()

@@ -361,7 +361,10 @@ def _line_expanded(
         return None
     if found.expanded_uncertainty_deg is None:
         return None
-    own = math.sqrt(found.covariance[which][which])
+    variance = found.covariance[which][which]
+    if variance < 0.0:  # of a document that somebody else made
+        return None
+    own = math.sqrt(variance)
     distribution = "normal" if reference.kind == "setting" else reference.distribution
     return coverage_factor(own, found.freedom, of_stage, distribution) * math.hypot(own, of_stage)
 
