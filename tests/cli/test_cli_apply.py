@@ -71,6 +71,14 @@ def test_what_came_is_printed_with_elevation_and_uncertainty_beside_it(folder, d
         loaded.elevation_deg(12.5)
 
 
+def test_angles_of_a_full_turn_survive_with_their_scale(folder, document):
+    """The reading is 5 + 1.01·θ; the third as a sensor gives it that counts to half a turn."""
+    written(folder, document, range_deg=[0.0, 350.0], bias_deg=5.0, scale=1.01, effects=[])
+    (folder / "r.csv").write_text("reading_deg,temperature_c\n247.4,20\n185.79,20\n-112.6,20\n")
+    rows = rows_of(calrig("apply", "cal.json", "r.csv").stdout)
+    assert [float(row["elevation_deg"]) for row in rows] == pytest.approx([240.0, 179.0, 240.0], abs=1e-6)
+
+
 def test_a_pipe_of_accelerations_with_semicolons_and_decimal_commas(document, monkeypatch):
     monkeypatch.setattr(applied_csv, "PIECE_BYTES", 60)
     text = 'accel_y_mps2;accel_z_mps2;note\r\n0,0;9,80665;x\r\n\r\n4,903325;8,4928;"two\nlines"\r\n'

@@ -11,6 +11,7 @@ from calrig.calibration.regression import c_literal
 from calrig.calibration.regression.effect import ApplyError, Circumstances
 from calrig.calibration.results.correction import calibrated_elevation_deg, effects_on_reading_deg
 from calrig.export.formats.c_header import c_header
+from calrig.loaded import Calibration
 
 needs_a_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (gcc or clang) is installed")
 
@@ -21,6 +22,11 @@ WARM = ("temperature_bias", {"deg_per_c": 0.0164, "reference_c": 24.3})
 WARM_Y = ("temperature_bias", {"deg_per_c": -0.05, "reference_c": 24.3, "of_axis_y": 1.0})
 CURVED = ("temperature_curvature", {"deg_per_c2": -3e-4, "reference_c": 26.0})
 STEEPER = ("temperature_scale", {"per_c": 2e-4, "reference_c": 24.3})
+BEYOND_HALF_A_TURN = [
+    ([0.0, 350.0], [0.0, 1.0, 120.0, 179.0, 240.0, 349.0, 350.0]),
+    ([-175.0, 175.0], [-175.0, -90.0, 0.0, 174.0, 175.0]),
+    ([-350.0, -10.0], [-350.0, -240.0, -180.0, -10.0]),
+]
 SLIPPED = ("mount_slip", {"step_deg": -0.12, "at_s": 300.0})
 
 
@@ -37,6 +43,7 @@ SLIPPED = ("mount_slip", {"step_deg": -0.12, "at_s": 300.0})
         ([OFFSET, STEEPER], {"scale": -0.98, "range_deg": [-90.0, 90.0], "temperature_c": None}),
         ([WARM], {"bias_deg": 179.6}),
         ([("temperature_scale", {"per_c": 0.014, "reference_c": 24.3})], {}),
+        ([WARM], {"scale": 1.01, "range_deg": [0.0, 350.0]}),
     ],
 )
 def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_degree(
@@ -54,7 +61,9 @@ def test_the_compiled_header_gives_pythons_elevation_to_a_ten_thousandth_of_a_de
 
     found_deg = applied(compiled(c_header(calibration), tmp_path), reading_deg, temperature_c)
 
-    in_python_deg = calibrated_elevation_deg(reading_deg, bias_deg, scale, effects, given)
+    in_python_deg = calibrated_elevation_deg(
+        reading_deg, bias_deg, scale, effects, given, tuple(calibration["range_deg"])
+    )
     np.testing.assert_allclose(found_deg, in_python_deg, atol=1e-4)
     np.testing.assert_allclose(found_deg, theta_deg, atol=1e-4)
 
@@ -67,6 +76,44 @@ def test_a_constant_in_the_header_is_the_float_itself(first):
         literal = c_literal(float(value))
         assert np.float32(literal.strip("()").removesuffix("f")) == value
         value = np.nextafter(value, np.float32(np.inf))
+
+
+@needs_a_compiler
+@pytest.mark.parametrize(("range_deg", "elevation_deg"), BEYOND_HALF_A_TURN)
+def test_angles_beyond_half_a_turn_survive_in_c_and_in_python(range_deg, elevation_deg, tmp_path):
+    """The sensor reads 5 + 1.01·θ: what it adds up to beyond half a turn, and the same less a turn."""
+    calibration = document([], bias_deg=5.0, scale=1.01, range_deg=range_deg)
+    unwrapped_deg = 5.0 + 1.01 * np.array(elevation_deg)
+    program = compiled(c_header(calibration), tmp_path)
+    for reading_deg in (unwrapped_deg, (unwrapped_deg + 180.0) % 360.0 - 180.0):
+        in_c_deg = applied(program, reading_deg, np.full(len(reading_deg), 20.0))
+        np.testing.assert_allclose(in_c_deg, elevation_deg, atol=1e-4)
+        in_python_deg = Calibration(calibration).elevation_deg(reading_deg)
+        np.testing.assert_allclose(in_python_deg, elevation_deg, atol=1e-9)
+
+
+@needs_a_compiler
+@pytest.mark.parametrize(
+    ("range_deg", "reading_deg", "elevation_deg"),
+    [
+        ([-180.0, 180.0], 5.0 + 1.01 * 240.0, -120.0),
+        ([-180.0, 180.0], 5.0 + 1.01 * 179.0, 179.0),
+        ([-60.0, 60.0], 5.0 + 1.01 * 240.0, -120.0),
+        ([-60.0, 60.0], 5.0 + 1.01 * 61.0, 61.0),
+        ([0.0, 720.0], 5.0 + 1.01 * 700.0, 700.0),
+        ([0.0, 720.0], 5.0 + 1.01 * 750.0, 750.0),
+    ],
+)
+def test_of_angles_that_differ_by_whole_turns_it_is_the_one_in_the_range_or_next_to_its_middle(
+    range_deg, reading_deg, elevation_deg, tmp_path
+):
+    """CONTRACT section 6; a range of more than a turn takes readings as they are."""
+    calibration = document([], bias_deg=5.0, scale=1.01, range_deg=range_deg)
+    program = compiled(c_header(calibration), tmp_path)
+    assert applied(program, np.array([reading_deg]), np.array([20.0])) == pytest.approx(
+        elevation_deg, abs=1e-4
+    )
+    assert Calibration(calibration).elevation_deg(reading_deg) == pytest.approx(elevation_deg, abs=1e-9)
 
 
 @needs_a_compiler

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from calrig.calibration.results.correction import (
+    AT_ITS_END_DEG,
+    HALF_TURN_DEG,
     Application,
     AppliedEffect,
     columns_followed,
@@ -10,6 +12,7 @@ from calrig.calibration.results.correction import (
     effects_on_reading_deg,
     felt_elevation_deg,
     numbers_of,
+    spans_more_than_a_turn,
 )
 from calrig.calibration.results.pose_errors import (
     as_clamped,
@@ -20,6 +23,8 @@ from calrig.calibration.results.pose_errors import (
 from calrig.calibration.results.result import UNKNOWN_GYRO, FittedResult, apply_calibration, build_result
 
 __all__ = [
+    "AT_ITS_END_DEG",
+    "HALF_TURN_DEG",
     "UNKNOWN_GYRO",
     "Application",
     "AppliedEffect",
@@ -35,4 +40,5 @@ __all__ = [
     "numbers_of",
     "raw_error_deg",
     "residuals",
+    "spans_more_than_a_turn",
 ]

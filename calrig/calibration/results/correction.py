@@ -115,11 +115,20 @@ def calibrated_elevation_deg(
     scale: float | None,
     effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
+    range_deg: tuple[float, float] = (-180.0, 180.0),
 ) -> FloatArray:
-    """Return (n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°, on the turn about 0.
+    """Return (n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°.
 
     NaN where one reading stands for many elevations. Newton's iteration from the θ without effects; those
     that depend on the elevation are read at θ itself.
+
+    Args:
+        reading_deg: (n,).
+        bias_deg: of the line.
+        scale: of the line; None is 1.
+        effects: each with its parameters.
+        given: what the effects follow.
+        range_deg: of the calibration: it decides between angles that differ by whole turns (`aim_deg`).
 
     Raises:
         ApplyError: the scale is 0.
@@ -127,7 +136,7 @@ def calibrated_elevation_deg(
     factor = 1.0 if scale is None else scale
     if abs(factor) < MIN_SCALE:
         raise ApplyError(f"the scale is {factor:g}: the reading does not follow the elevation")
-    aim = np.asarray(wrap_deg(reading_deg - bias_deg), dtype=np.float64)
+    aim = aim_deg(reading_deg, bias_deg, factor, range_deg)
     theta = aim / factor
     stands_for_many = np.zeros(len(aim), dtype=np.bool_)
 
@@ -146,6 +155,38 @@ def calibrated_elevation_deg(
         if not moving.any():
             break
     return np.where(stands_for_many | moving, np.nan, theta)
+
+
+HALF_TURN_DEG, TURN_DEG = 180.0, 360.0
+AT_ITS_END_DEG = 1e-3
+"""Beyond an end of the range by no more, an elevation is at that end: a `float` rounds it as it likes."""
+
+
+def aim_deg(
+    reading_deg: FloatArray, bias_deg: float, scale: float, range_deg: tuple[float, float]
+) -> FloatArray:
+    """Return (n,) reading less bias, on the turn that is meant (CONTRACT section 6).
+
+    As it is where θ lies in the range. Else the one next to the middle of the range: of readings within half
+    a turn, which are wrapped as a sensor gives them, turns of the reading are taken off; who gives others has
+    unwrapped them, and θ is brought back by whole turns of its own. The two differ where the scale is not 1.
+    Over a range of more than a turn only unwrapped readings have a meaning, and are left as they are.
+    """
+    low_deg, high_deg = range_deg
+    aim = np.asarray(reading_deg - bias_deg, dtype=np.float64)
+    if spans_more_than_a_turn(range_deg):
+        return aim
+    theta, middle_deg = aim / scale, (low_deg + high_deg) / 2.0
+    is_inside = (theta >= low_deg - AT_ITS_END_DEG) & (theta <= high_deg + AT_ITS_END_DEG)
+    turns_of_reading = TURN_DEG * np.ceil((aim - scale * middle_deg - HALF_TURN_DEG) / TURN_DEG)
+    turns_of_theta = scale * TURN_DEG * np.ceil((theta - middle_deg - HALF_TURN_DEG) / TURN_DEG)
+    is_wrapped = np.abs(reading_deg) <= HALF_TURN_DEG
+    return aim - np.where(is_inside, 0.0, np.where(is_wrapped, turns_of_reading, turns_of_theta))
+
+
+def spans_more_than_a_turn(range_deg: tuple[float, float]) -> bool:
+    """Return whether angles that differ by a whole turn may both lie within a range."""
+    return range_deg[1] - range_deg[0] > TURN_DEG + 2.0 * AT_ITS_END_DEG
 
 
 WITHIN_STDS, WITHIN_SHARE = 2.0, 0.01
@@ -279,7 +320,9 @@ class Application:
             ApplyError: an effect lacks a column or a parameter.
         """
         given = Circumstances(**{**(others or {}), TEMPERATURE.name: temperature_c})
-        return calibrated_elevation_deg(reading_deg, self.bias_deg, self.scale, self.effects, given)
+        return calibrated_elevation_deg(
+            reading_deg, self.bias_deg, self.scale, self.effects, given, self.range_deg
+        )
 
     def std_deg(self, elevation_deg: FloatArray) -> FloatArray:
         """Return (n,) standard uncertainty (k = 1) of elevations relative to their mean over the range.

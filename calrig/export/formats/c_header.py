@@ -25,11 +25,14 @@ from calrig.calibration.regression import (
     c_literal,
 )
 from calrig.calibration.results import (
+    AT_ITS_END_DEG,
+    HALF_TURN_DEG,
     Application,
     columns_followed,
     effects_at_rest,
     effects_on_reading_deg,
     felt_elevation_deg,
+    spans_more_than_a_turn,
 )
 from calrig.estimation.angles import FloatArray
 from calrig.export.formats import CalibrationExporter
@@ -139,11 +142,11 @@ def c_header(document: Mapping[str, Any]) -> str:
     body = [
         f"    const float scale = {c_literal(scale)};",
         f"    float aim = reading_deg - {c_literal(bias_deg)};",
-        "    float theta;",
+        "    float theta = aim / scale;",
     ]
     if not terms:
         body.append("    (void)temperature_c;")
-    body += ["    aim -= 360.0f * ceilf((aim - 180.0f) / 360.0f);", "    theta = aim / scale;"]
+    body += _on_its_turn(scale, Application.of_document(document).range_deg)
     if terms:
         body += _newton(rounds)
     body.append("    return theta;")
@@ -167,6 +170,26 @@ def c_header(document: Mapping[str, Any]) -> str:
             "",
         ]
     )
+
+
+def _on_its_turn(scale: float, range_deg: tuple[float, float]) -> list[str]:
+    """The statements of `aim_deg`."""
+    if spans_more_than_a_turn(range_deg):
+        return []
+    low_deg, high_deg = range_deg
+    middle_deg = (low_deg + high_deg) / 2.0
+    low, high = c_literal(low_deg - AT_ITS_END_DEG), c_literal(high_deg + AT_ITS_END_DEG)
+    theta_end = c_literal(middle_deg + HALF_TURN_DEG)
+    aim_end = c_literal(scale * middle_deg + HALF_TURN_DEG)
+    return [
+        f"    if (theta < {low} || theta > {high}) {{",
+        "        if (fabsf(reading_deg) <= 180.0f)",
+        f"            aim -= 360.0f * ceilf((aim - {aim_end}) / 360.0f);",
+        "        else",
+        f"            aim -= scale * 360.0f * ceilf((theta - {theta_end}) / 360.0f);",
+        "        theta = aim / scale;",
+        "    }",
+    ]
 
 
 def _term(name: str, parameters: Parameters) -> str | VectorInC:
