@@ -70,8 +70,11 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
         return None
     for factors in FINER:
         lags_s = shape.at["over_s"] * factors
+        # its own place is among these: a shape of all poses has more rows than a fold
         shapes = [s for lag_s in lags_s for s in _forms(r, {"over_s": float(lag_s)}) if s.form == shape.form]
-        shape = min([shape, *shapes], key=criterion)
+        if not shapes:
+            return None
+        shape = min(shapes, key=criterion)
     return shape
 
 

@@ -55,7 +55,7 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
     if shape.at["began_s"] == 0.0:
         return None
     tried = (float(factor) * shape.at["began_s"] for factor in np.geomspace(0.4, 2.5, REFINEMENTS + 1))
-    return min((one for at in tried for one in _forms(r, {"began_s": at})), key=criterion)
+    return min((one for at in tried for one in _forms(r, {"began_s": at})), key=criterion, default=None)
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:

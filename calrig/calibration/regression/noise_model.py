@@ -81,7 +81,8 @@ class LaggedProducts:
             ((products @ rotation) * rotation).sum(axis=1)
             for products in (self.same, self.lagged, self.inner)
         )
-        variance = (same + (rho**2 * inner - rho * lagged) / white) / self.n + self.floor @ rotation**2
+        power = np.maximum(same + (rho**2 * inner - rho * lagged) / white, 0.0)  # below by rounding alone
+        variance = power / self.n + self.floor @ rotation**2
         return np.asarray(
             self.n * np.log(variance).sum(axis=1)
             + self.pairs * np.log(white).sum(axis=1)

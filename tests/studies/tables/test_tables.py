@@ -1,0 +1,38 @@
+"""Generated tables end with a diagnosis or a refusal that says why; every figure that is stated is finite."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from calrig.calibration.poses import DiagnosisError
+
+from .generate import diagnosed
+
+ENDED_IN_AN_ERROR = [16]
+"""Numbers of tables that once did: noise that was negative by rounding."""
+OTHERS = range(7000, 7030)
+BOOTSTRAPS = 40
+
+
+def numbers(value):
+    """All numbers of a JSON document."""
+    if isinstance(value, dict):
+        value = value.values()
+    if isinstance(value, float):
+        yield value
+    elif not isinstance(value, str | int | None):
+        for one in value:
+            yield from numbers(one)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("number", [*ENDED_IN_AN_ERROR, *OTHERS])
+def test_a_table_of_any_columns_is_diagnosed_or_refused_with_its_reason(number):
+    try:
+        found = diagnosed(number, BOOTSTRAPS)
+    except DiagnosisError as refusal:
+        assert "poses" in str(refusal) or "elevation" in str(refusal)
+    else:
+        assert all(math.isfinite(one) for one in numbers(found))
