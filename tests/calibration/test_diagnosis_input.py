@@ -13,6 +13,7 @@ import pytest
 from posed import posed
 from support import DATA
 
+from calrig.calibration.diagnosis.candidates import Candidate
 from calrig.calibration.diagnosis.conclusion import conclude
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.poses import DiagnosisError, Pose
@@ -77,6 +78,15 @@ def test_a_drift_at_one_angle_is_found() -> None:
     stated = effect["parameters"]["deg_per_s"]
     assert effect["name"] == "time_drift"
     assert abs(stated["value"] - 1e-3) < 4 * stated["std"]
+
+
+def test_where_physics_rules_every_candidate_out_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    targets = sweeps()
+    poses = run_of(targets, approach=approaches(targets))
+    with_play = [replace(one, reading_deg=one.reading_deg - 0.1 * (one.approach or 0)) for one in poses]
+    assert told(with_play)["verdict"] == "named"
+    monkeypatch.setattr(Candidate, "is_possible", lambda *_: False)
+    assert told(with_play)["verdict"] == "nothing"
 
 
 def test_nothing_found_in_four_times_the_noise_is_said_to_be_that() -> None:

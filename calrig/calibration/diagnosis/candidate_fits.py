@@ -325,12 +325,13 @@ def named(
 ) -> SelectedEffect:
     """Return the best of the offered candidates by its full likelihood, and those that come too close to it.
 
-    Of equals, a term of a series stays where it is already in the model: it came with the others.
+    Of equals, a term of a series stays where it is already in the model: it came with the others. Nothing is
+    `considered` where physics rules all of them out.
     """
     ranked = _ranked(r, accepted, offered, ratios)
     best, leader = ranked[0]
     margin = MARGIN + (0.0 if leader.named else 2.0 * float(np.log(_forms(offered, leader.label))))
-    near = [c for criterion, c in ranked if criterion - best < margin]
+    near = [c for criterion, c in ranked if criterion == best or criterion - best < margin]
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
@@ -342,7 +343,7 @@ def named(
         rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.kind != claimed.kind and c.named]
-    lead = min(rest) - own if rest else np.inf
+    lead = min(rest) - own if rest and np.isfinite(own) else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:
         if np.isfinite(criterion):  # what physics rules out was not considered

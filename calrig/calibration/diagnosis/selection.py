@@ -304,6 +304,9 @@ def _search(
         steps: list[SelectedEffect] = []
         if verdict.passes and not _is_full(accepted, len(known)):
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+            if not best.considered:
+                refused.add(best.candidate.label)
+                continue
             if is_practically_significant(r, accepted, best):
                 best = simplest(r, accepted, best, verdict)
                 steps = forward_step(r, accepted, best, verdict, judged, rivals)
