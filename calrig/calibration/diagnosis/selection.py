@@ -272,12 +272,14 @@ def _search(
 
     In each round the model is fitted and all candidates are tested. An outlier is left out; else the best
     significant candidate enters and all effects are reselected; inadmissible or needless ones leave. The
-    search ends where nothing enters.
+    search ends where nothing enters, and where a round ends as an earlier one did: of effects that replace
+    each other in turn, the same would come for ever.
     """
     found = list(known)
     refused: set[str] = set()
     kept, fewest = np.arange(len(r)), len(r) - most_outliers(len(r))
     drawn: dict[ModelKey, NullGains] = {}
+    met: set[object] = set()
 
     def judged(model: Model) -> Verdict:
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
@@ -302,15 +304,16 @@ def _search(
             found = [f.rows(others) for f in found]
             continue
         steps: list[SelectedEffect] = []
+        state = len(kept), frozenset(refused), frozenset(_place_of(c) for c in accepted)
+        if state in met:
+            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, drawn)
+        met.add(state)
         if verdict.passes and not _is_full(accepted, len(known)):
             best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-            if not best.considered:
-                refused.add(best.candidate.label)
-                continue
-            if is_practically_significant(r, accepted, best):
+            if best.considered and is_practically_significant(r, accepted, best):
                 best = simplest(r, accepted, best, verdict)
                 steps = forward_step(r, accepted, best, verdict, judged, rivals)
-            elif companions_of([best.candidate]):
+            elif best.considered and companions_of([best.candidate]):
                 steps = tested_pair(r, model, best, judged)
             if not steps:
                 refused.add(best.candidate.label)
@@ -327,6 +330,11 @@ def _search(
             continue
         found, dropped = eliminated(r, entered, len(known))
         refused.update(dropped)
+
+
+def _place_of(candidate: Candidate) -> object:
+    """Return what tells a candidate from all others: names, forms and places."""
+    return tuple((c.label, c.shape.form, tuple(c.shape.at.items())) for c in candidate.members)
 
 
 def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
