@@ -147,5 +147,6 @@ def _left_by_line(x: FloatArray, y: FloatArray) -> bool:
     """Return whether a line leaves anything of y: a witness that it explains exactly was never measured."""
     if np.ptp(x) == 0.0:
         return bool(np.ptp(y) > 0.0)
-    left = y - np.polyval(np.polyfit(x, y, 1), x)
+    along, across = x - x.mean(), y - y.mean()
+    left = across - along * (along @ across) / (along @ along)
     return bool(np.abs(left).max() > 1e-9 * max(float(np.abs(x).max()), 1.0))
