@@ -248,7 +248,7 @@ def _fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
             void = np.eye(p) * (turn == 0.0).all(axis=1)[:, None, :]
             rows = rows @ turn
             by_channel = _by_channel(rows.reshape(-1, n, channels, p), values)
-        covariance = np.linalg.inv(gram + void)
+        covariance = _inverse(gram + void)
         inside = covariance @ along
         residuals = (values - (rows @ inside).reshape(values.shape)) * r.known
         left = lagged_products(residuals, r.starts, r.rounding)
@@ -256,6 +256,14 @@ def _fits(r: Responses, values: FloatArray, columns: FloatArray) -> Fits:
     beta = (turn @ inside)[:, :, 0]
     covariance = turn @ (covariance - void) @ back
     return Fits(beta, covariance, residuals, rotation, rho, left.criterion(rotation, rho))
+
+
+def _inverse(gram: FloatArray) -> FloatArray:
+    """Return (b, p, p) inverses; where noise has left columns that say the same, of what these say."""
+    try:
+        return np.asarray(np.linalg.inv(gram), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(gram, hermitian=True), dtype=np.float64)
 
 
 def _by_channel(columns: FloatArray, values: FloatArray) -> FloatArray:
