@@ -27,7 +27,8 @@ import numpy.typing as npt
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import RunsError
 from calrig.analysis.stored_runs import poses_together, runs_together
-from calrig.calibration.fleet_screen import PackedPoses, packed, screen
+from calrig.calibration.fleet_screen import screen
+from calrig.calibration.packed_poses import PackedPoses, packed
 from calrig.calibration.poses import DiagnosisError
 from calrig.errors import WorkError
 from calrig.estimation.angles import FloatArray

@@ -15,21 +15,20 @@ As in the diagnosis, the first pose of a run and outliers are not tested.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.line import MIN_SCALE
-from calrig.calibration.poses import COLUMNS, MOUNT_DEG, OF_MOUNTS, Pose
+from calrig.calibration.packed_poses import Intp, PackedPoses
 from calrig.calibration.regression.responses import FEWEST_POSES
 from calrig.estimation.angles import MAD_TO_STD, FloatArray, wrap_deg
 
 Float32 = npt.NDArray[np.float32]
 Complex64 = npt.NDArray[np.complex64]
-Intp = npt.NDArray[np.intp]
 TINY = np.finfo(np.float32).tiny
 BEYOND = 5
 """Times the waves that as many places spread evenly resolve: as far as the diagnosis searches periods."""
@@ -129,86 +128,6 @@ def _gain_along(seen: Complex64, doubled: Complex64, m: int) -> FloatArray:
     fitted = 2.0 * (m * both - c2 * (a * a - b * b) - 2.0 * s2 * a * b)
     is_pair = determinant > SINGULAR * m * m
     return np.where(is_pair, fitted / np.maximum(determinant, 1.0), both / m)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedPoses:
-    """The poses that count of R runs, N together, each run's in the order measured.
-
-    Attributes:
-        run_ids: of the R runs.
-        first: (R + 1,) where each run's poses begin, and N.
-        columns: (N,) each: CONTRACT section 4's numeric columns and covariates by name, NaN where not known.
-        units, rigs: (R,) what each run is of and was made on, None where not known.
-    """
-
-    run_ids: tuple[str, ...]
-    first: Intp
-    columns: Mapping[str, FloatArray]
-    units: tuple[str | None, ...]
-    rigs: tuple[str | None, ...]
-
-    def __len__(self) -> int:
-        return len(self.run_ids)
-
-    @property
-    def counts(self) -> Intp:
-        """(R,) poses of each run."""
-        return np.diff(self.first)
-
-    @property
-    def theta_deg(self) -> FloatArray:
-        """(N,) the elevation that each pose stands for, as `Pose.theta_deg`."""
-        target, stage = self.columns["target_deg"], self.columns.get("stage_deg")
-        dial = target if stage is None else np.where(np.isnan(stage), target, stage)
-        mount = self.columns.get(MOUNT_DEG)
-        return dial if mount is None else dial + wrap_deg(np.nan_to_num(mount))
-
-    @property
-    def covariates(self) -> list[str]:
-        """Columns that CONTRACT section 4 does not know."""
-        return [name for name in self.columns if name not in (*COLUMNS, *OF_MOUNTS)]
-
-    def of_first_mounts(self) -> PackedPoses:
-        """Of runs with several mounts, the poses of the first one, as `of_first_mount`."""
-        mount = self.columns.get(MOUNT_DEG)
-        if mount is None or not len(mount):
-            return self
-        mount_deg = np.nan_to_num(mount)
-        of_run = np.repeat(np.arange(len(self)), self.counts)
-        at_first_deg = mount_deg[np.minimum(self.first[:-1], len(mount_deg) - 1)]
-        kept = mount_deg == at_first_deg[of_run]
-        counts = np.bincount(of_run[kept], minlength=len(self))
-        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
-        return replace(
-            self, first=first, columns={name: column[kept] for name, column in self.columns.items()}
-        )
-
-    def runs(self, chosen: Intp) -> PackedPoses:
-        """Some of the runs, in the order given."""
-        counts = self.counts[chosen]
-        first = np.concatenate([[0], np.cumsum(counts)])
-        rows = np.repeat(self.first[chosen] - first[:-1], counts) + np.arange(first[-1])
-        columns = {name: column[rows] for name, column in self.columns.items()}
-        run_ids, units, rigs = (
-            tuple(names[k] for k in chosen.tolist()) for names in (self.run_ids, self.units, self.rigs)
-        )
-        return PackedPoses(run_ids, first, columns, units, rigs)
-
-
-def packed(runs: Mapping[str, Sequence[Pose]]) -> PackedPoses:
-    """Poses of runs by id, as arrays, of units and rigs that are not told."""
-    rows = [pose.row() for poses in runs.values() for pose in poses]
-    counts = [len(poses) for poses in runs.values()]
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = {name: _numbers(row.get(name) for row in rows) for name in names}
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
-    unknown = (None,) * len(runs)
-    return PackedPoses(tuple(runs), first, columns, unknown, unknown)
-
-
-def _numbers(values: Iterable[float | None]) -> FloatArray:
-    return np.array(list(values), dtype=np.float64)  # None becomes NaN
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from calrig.cli.running_service import is_named, running_service, whole_id_there
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.calibration.fleet_screen import PackedPoses
+    from calrig.calibration.packed_poses import PackedPoses
     from calrig.client import Client
     from calrig.client import Revision as RevisionThere
     from calrig.store import Store

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.fleet_screen import PackedPoses
+from calrig.calibration.packed_poses import PackedPoses
 from calrig.calibration.poses import INTEGER, REQUIRED
 from calrig.errors import InputError, WorkError
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import sqlalchemy
 from sqlmodel import Session, col, select
 
-from calrig.calibration.fleet_screen import PackedPoses
+from calrig.calibration.packed_poses import PackedPoses
 from calrig.calibration.poses import COLUMNS, GYRO_MEANS
 from calrig.estimation.angles import FloatArray
 from calrig.store import checksums

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calrig.calibration.fleet_screen import OF_RUNS, packed, screen
+from calrig.calibration.fleet_screen import OF_RUNS, screen
 from calrig.calibration.line import fit_line, residuals_deg, rms
+from calrig.calibration.packed_poses import packed
 from calrig.calibration.poses import Pose
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calrig.calibration.fleet_screen import PackedPoses, packed
+from calrig.calibration.packed_poses import PackedPoses, packed
 from calrig.calibration.poses import Pose
 from calrig.errors import InputError
 from calrig.export.poses_parquet import parquet_files, read_file, write_poses

@@ -9,7 +9,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from calrig.calibration.fleet_screen import packed
+from calrig.calibration.packed_poses import packed
 from calrig.calibration.poses import GYRO_MEANS, Pose
 from calrig.store import Run, Store, StoreDamagedError, fleet
 from calrig.store.fleet import Finding

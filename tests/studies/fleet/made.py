@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.fleet_screen import PackedPoses, packed, screen
+from calrig.calibration.fleet_screen import screen
+from calrig.calibration.packed_poses import PackedPoses, packed
 from calrig.calibration.poses import Pose
 from studies.blind.cells import CELLS
 from studies.blind.physics import Noise

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calrig.calibration.fleet_screen import LEVEL, packed, screen
+from calrig.calibration.fleet_screen import LEVEL, screen
+from calrig.calibration.packed_poses import packed
 from studies.blind.board import Rate
 from studies.blind.cells import CELLS
 
