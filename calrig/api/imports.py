@@ -13,7 +13,7 @@ from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, Heavy, Wait
 from calrig.api.models import RunAnswer
-from calrig.export.csv_table import CsvError
+from calrig.export.csv_errors import CsvError
 from calrig.store import Run
 
 router = APIRouter(tags=["runs"])

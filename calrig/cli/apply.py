@@ -37,7 +37,7 @@ def apply(
     from calrig.calibration.results import Application
     from calrig.export.applied_csv import Applier
     from calrig.export.calibration_document import read_document
-    from calrig.export.csv_table import CsvError
+    from calrig.export.csv_errors import CsvError
 
     document = read_document(calibration)
     name = STDIN if readings is None else str(readings)

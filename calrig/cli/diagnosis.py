@@ -61,7 +61,7 @@ def gravity(
     from calrig.calibration.separation import calibrate_by_gravity, gravity_document
     from calrig.calibration.static_detector import GravityError
     from calrig.cli import output
-    from calrig.export.csv_table import CsvError
+    from calrig.export.csv_errors import CsvError
     from calrig.export.static_csv import accel_g_of
 
     log = read_log_file(file, accel_range)

@@ -63,7 +63,7 @@ def read_log_file(
     progress: Callable[[float], None] | None = None,
 ) -> StaticLog:
     """A log of samples; `progress` is told the share that is read, 0 to 1."""
-    from calrig.export.csv_table import CsvError
+    from calrig.export.csv_errors import CsvError
     from calrig.export.static_csv import read_static
 
     try:

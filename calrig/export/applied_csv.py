@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import IO
@@ -17,11 +19,12 @@ import numpy.typing as npt
 
 from calrig.calibration.results import Application
 from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
-from calrig.export.csv_table import Cells, CsvError, Table, read_rows, there_are
-from calrig.export.static_csv import header_of
+from calrig.export.csv_columns import Column, missing_columns, normalised
+from calrig.export.csv_errors import CsvError, CsvReport
+from calrig.export.csv_table import Cells, Layout, Table, layout_of, read_rows
 
 PIECE_BYTES = 2_000_000
-"""More than the rows that tell how cells are written (`csv_dialect.EXAMINED_BYTES`)."""
+"""More than the rows that tell how cells are written (`csv_table.EXAMINED_BYTES`)."""
 LONGEST_BYTES = 8_000_000
 """Of a piece without the end of a row in it."""
 
@@ -46,10 +49,15 @@ def pieces_of(stream: IO[bytes]) -> Iterator[bytes]:
         yield held
 
 
+_COMMENT = re.compile(rb"^ *#[^\n]*", re.MULTILINE)
+
+
 def _end_of_rows(held: bytes) -> int:
     """Behind the last line's end that is outside of quotes; 0 without one."""
     end = held.rfind(b"\n") + 1
     quotes = held.count(b'"', 0, end)
+    if quotes % 2 and b"#" in held:  # those in a comment belong to no cell
+        quotes -= sum(comment.count(b'"') for comment in _COMMENT.findall(held, 0, end))
     while end and quotes % 2:
         before = held.rfind(b"\n", 0, end - 1) + 1
         quotes -= held.count(b'"', before, end)
@@ -97,36 +105,41 @@ class Applier:
     _beyond: _Rows = field(default_factory=_Rows)
     _warmer: _Rows = field(default_factory=_Rows)
     _many: _Rows = field(default_factory=_Rows)
+    _report: CsvReport = field(default_factory=CsvReport)
 
     def rows(self, stream: IO[bytes]) -> Iterator[str]:
-        """What came, and two columns more, some rows at a time, the header first.
+        """Yield what came, and two columns more, some rows at a time, the header first.
 
-        Cells stay as they are; a number that is not known is a blank cell.
+        Cells stay as they are; a number that is not known is a blank cell. Comments and a row of units are
+        left out. After the first fault nothing more is yielded, and the rest is searched for others.
 
         Raises:
             CsvError: it is no such table, lacks a column, or a cell that is needed is no number; says where.
         """
-        header, dialect, line, place, begun = [""], None, 1, None, ""
-        for piece in pieces_of(stream):
-            begin = 0
-            if dialect is None:
-                header, line, begin, dialect = header_of(piece, NAMES.__contains__)
-                place = _Places.of(header, line, self.application)
-                begun = _written([[*header, *ADDED]], dialect.separator)
-                line += 1
-            assert place is not None  # noqa: S101 (with the header)
-            for table in read_rows(piece, begin, header, line, dialect):
-                yield begun + self._applied(table, place)
-                begun = ""
-            line += piece.count(b"\n", begin)
-        if not self._n:
-            what = "the file is empty" if dialect is None else "the file has a header and no rows"
-            raise CsvError(what, line=None if dialect is None else line - 1)
+        pieces = pieces_of(stream)
+        first = next(pieces, b"")
+        layout = layout_of(first, sorted(NAMES | set(self.application.columns)))
+        self._report = layout.report
+        place = _Places.of(layout, self.application)
+        titles = map(_title, layout.columns, layout.units or [""] * len(layout.columns))
+        begun = _written([[*titles, *ADDED]], layout.dialect.separator)
+        begin, line = layout.begin, layout.first_line
+        with layout.report as report:
+            for piece in itertools.chain([first], pieces):
+                for table in read_rows(piece, layout, begin, line):
+                    applied = self._applied(table, place)
+                    if not report.has_faults:
+                        yield begun + applied
+                        begun = ""
+                line += piece.count(b"\n", begin)
+                begin = 0
+            if not self._n and not report.has_faults:
+                raise CsvError("the file has a header and no rows", line=layout.header_line)
 
     def warnings(self) -> list[str]:
         """What is to be said once all rows are read."""
         low, high = self.application.range_deg
-        said = self._beyond.said(
+        said = self._report.notes() + self._beyond.said(
             f"the elevation is outside {low:g}° to {high:g}°, where the calibration says nothing of its worth"
         )
         if self.application.temperature_c is not None:
@@ -142,17 +155,20 @@ class Applier:
 
     def _applied(self, table: Table, place: _Places) -> str:
         reading_deg, celsius = place.readings(table), place.temperatures(table)
-        elevation = self.application.elevation_deg(reading_deg, celsius, place.further(table))
+        further = place.further(table)
+        self._n += len(table.rows)
+        if self._report.has_faults:
+            return ""
+        elevation = self.application.elevation_deg(reading_deg, celsius, further)
         std = self.application.std_deg(elevation)
-        self._n += len(elevation)
         self._many.add(np.isnan(elevation), table.lines)
         self._beyond.add(self.application.beyond_range(elevation) > 0.0, table.lines)
         if celsius is not None:
             self._warmer.add(self.application.beyond_temperatures(celsius) > 0.0, table.lines)
-        decimal = table.dialect.decimal
-        added = ([_text(value, decimal) for value in column.tolist()] for column in (elevation, std))
+        dialect = table.layout.dialect
+        added = ([_text(value, dialect.decimal) for value in column.tolist()] for column in (elevation, std))
         rows = ([*row, *more] for row, *more in zip(table.rows, *added, strict=True))
-        return _written(rows, table.dialect.separator)
+        return _written(rows, dialect.separator)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,22 +183,29 @@ class _Places:
     temperature: int | None
 
     @classmethod
-    def of(cls, header: list[str], line: int, application: Application) -> _Places:
-        at = header.index
+    def of(cls, layout: Layout, application: Application) -> _Places:
+        header, line = layout.header, layout.header_line
         for name in ADDED:
             if name in header:
                 raise CsvError("is there already: rename or leave it out", line=line, column=name)
-        reading, accel, unit = cls._readings_of(header, line)
-        for name in application.columns:
-            if name not in header:
-                why = "there is no such column, and effects of the calibration follow it"
-                raise CsvError(f"{why}; {there_are(header)}", line=line, column=name)
+        why = ", and effects of the calibration follow it"
+        faults = missing_columns(layout.columns, application.columns, line, why)
+        places: tuple[int | None, Triple, float] = None, (None, 0, 0), 1.0
+        if (found := cls._readings_of(header)) is None:
+            why = ", nor accel_y_g and accel_z_g in its place"
+            faults = [*missing_columns(layout.columns, [READING], line, why), *faults]
+        else:
+            places = found
+        with CsvReport() as report:
+            for fault in faults:
+                report.add_fault(fault)
+        at = header.index
         others = {name: at(name) for name in application.columns if name != TEMPERATURE}
         temperature = at(TEMPERATURE) if TEMPERATURE in header else None
-        return cls(application, reading, accel, unit, others, temperature)
+        return cls(application, *places, others, temperature)
 
     @staticmethod
-    def _readings_of(header: list[str], line: int) -> tuple[int | None, Triple, float]:
+    def _readings_of(header: list[str]) -> tuple[int | None, Triple, float] | None:
         at = header.index
         if READING in header:
             return at(READING), (None, 0, 0), 1.0
@@ -190,16 +213,15 @@ class _Places:
             x, y, z = (f"accel_{axis}_{unit}" for axis in AXES)
             if y in header and z in header:
                 return None, (at(x) if x in header else None, at(y), at(z)), worth
-        what = f"there is no such column, nor accel_y_g and accel_z_g in its place; {there_are(header)}"
-        raise CsvError(what, line=line, column=READING)
+        return None
 
     def readings(self, table: Table) -> FloatArray:
         """(n,) degrees."""
         if self.reading is not None:
-            return _known(table.column(self.reading), "and a row needs it")
+            return _known(table.column(self.reading), table, "and a row needs it")
         x, y, z = self.accel
-        of_x = np.full(len(table.rows), np.nan) if x is None else _numbers(table.column(x))
-        along = [_known(table.column(place), "and a row needs it") for place in (y, z)]
+        of_x = np.full(len(table.rows), np.nan) if x is None else _numbers(table.column(x), table)
+        along = [_known(table.column(place), table, "and a row needs it") for place in (y, z)]
         return self.application.reading_of_deg(np.column_stack([of_x, *along]) / self.accel_unit)
 
     def temperatures(self, table: Table) -> FloatArray | None:
@@ -207,25 +229,33 @@ class _Places:
         if self.temperature is None:
             return None
         cells = table.column(self.temperature)
-        return _followed(cells) if TEMPERATURE in self.application.columns else _numbers(cells)
+        is_needed = TEMPERATURE in self.application.columns
+        return _followed(cells, table) if is_needed else _numbers(cells, table)
 
     def further(self, table: Table) -> dict[str, FloatArray]:
         """(n,) each, the other columns that effects follow."""
-        return {name: _followed(table.column(place)) for name, place in self.others.items()}
+        return {name: _followed(table.column(place), table) for name, place in self.others.items()}
 
 
-def _numbers(cells: Cells) -> FloatArray:
-    return np.array([math.nan if value is None else value for value in cells.numbers()])
+def _numbers(cells: Cells, table: Table) -> FloatArray:
+    values = cells.numbers(table.layout.report)
+    return np.array([math.nan if value is None else value for value in values])
 
 
-def _known(cells: Cells, why: str) -> FloatArray:
-    values = cells.numbers()
-    cells.refuse_first(values, lambda value: value is None, f"is not known, {why}")
+def _known(cells: Cells, table: Table, why: str) -> FloatArray:
+    values = cells.numbers(table.layout.report)
+    cells.refuse(values, lambda value: value is None, f"is not known, {why}", table.layout.report)
     return np.array(values, dtype=np.float64)
 
 
-def _followed(cells: Cells) -> FloatArray:
-    return _known(cells, "and effects of the calibration follow it")
+def _followed(cells: Cells, table: Table) -> FloatArray:
+    return _known(cells, table, "and effects of the calibration follow it")
+
+
+def _title(column: Column, unit: str) -> str:
+    """The name as it came, with its unit where only the row of units, which is left out, told that."""
+    is_told = not unit or not column.is_known or normalised(column.text) == column.name or "[" in column.text
+    return column.text if is_told else f"{column.text} [{unit.strip()}]"
 
 
 def _text(value: float, decimal: str) -> str:

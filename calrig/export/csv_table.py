@@ -1,6 +1,7 @@
 """Any bytes as rectangular tables of text cells with line numbers, in bounded memory; errors say where.
 
 Separator and decimal sign are detected: comma and point, or the semicolon and comma of other spreadsheets.
+Comments, a row of units and units in cells are read, and the report says so.
 """
 
 from __future__ import annotations
@@ -8,16 +9,34 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import itertools
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import NamedTuple
+
+from calrig.export.csv_columns import (
+    CLOCK_NAMES,
+    NUMBER,
+    Column,
+    clock_name,
+    columns_of,
+    header_notes,
+    missing_columns,
+    names_a_known,
+    refuse_bad_names,
+)
+from calrig.export.csv_errors import CsvError, CsvReport, shortened
+from calrig.export.csv_units import unit_of_text
 
 SEPARATORS = (",", ";", "\t")
 EXAMINED_BYTES = 1_000_000
 """Rows from which the decimal sign is detected: a different one further on is reported as a bad cell."""
 _QUOTED = re.compile(r'"[^"]*"')
+_COMMENTS = re.compile(rb"^ *#[^\r\n]*", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +50,12 @@ class Dialect:
 COMMAS = Dialect()
 
 
-def dialect_of(header: str, rows: bytes, is_known: Callable[[str], bool]) -> Dialect:
-    """The dialect that the header row and the rows under it are in.
+def _dialect_of(header: str, rows: bytes, is_known: Callable[[str], bool]) -> Dialect:
+    """Return the dialect that the header row and the rows under it are in.
 
     The separator is the one that makes the most known names of the header, a comma where several do. Where
-    cells are not separated by commas, these are decimal points if whole cells are numbers so, and none are
-    numbers with a point: a file that has both is not guessed at.
+    cells are not separated by commas, decimals are written as in most cells that have any, with a point where
+    as many have commas.
 
     Args:
         header: the line of names.
@@ -46,15 +65,16 @@ def dialect_of(header: str, rows: bytes, is_known: Callable[[str], bool]) -> Dia
     separator = max(SEPARATORS, key=lambda sign: _known(header, sign, is_known))
     if separator == ",":
         return COMMAS
-    examined = rows[:EXAMINED_BYTES]
-    comma = _has_decimals(examined, separator, ",") and not _has_decimals(examined, separator, ".")
+    examined = _COMMENTS.sub(b"", rows[:EXAMINED_BYTES])
+    comma = _n_decimals(examined, separator, ",") > _n_decimals(examined, separator, ".")
     return Dialect(separator, "," if comma else ".")
 
 
 def _known(header: str, separator: str, is_known: Callable[[str], bool]) -> tuple[int, int]:
     """How many names a separator makes that are known, and how many at all."""
     names = [name.strip().strip('"') for name in _unquoted(header, separator).split(separator)]
-    return sum(map(is_known, names)), 0 if any(map(is_known, names)) else len(names)
+    n_known = sum(map(is_known, names[:MAX_COLUMNS]))
+    return n_known, 0 if n_known else len(names)
 
 
 def _unquoted(header: str, separator: str) -> str:
@@ -62,20 +82,26 @@ def _unquoted(header: str, separator: str) -> str:
     return _QUOTED.sub(lambda quoted: quoted[0].replace(separator, " "), header)
 
 
-def _has_decimals(rows: bytes, separator: str, decimal: str) -> bool:
-    between = rb'[\r\n"' + separator.encode() + rb"]"
-    number = rb"[ ]*[+-]?[0-9]*" + re.escape(decimal.encode()) + rb"[0-9]+(?:[eE][+-]?[0-9]+)?[ ]*"
-    return re.search(rb"(?:\A|" + between + rb")" + number + rb"(?:\Z|" + between + rb")", rows) is not None
+def _n_decimals(rows: bytes, separator: str, decimal: str) -> int:
+    ends = rb'\r\n"' + separator.encode()
+    number = rb" *[+-]?[0-9]*" + re.escape(decimal.encode()) + rb"[0-9]+(?:[eE][+-]?[0-9]+)?"
+    unit = rb" *[^0-9.," + ends + rb"]{0,12}"
+    return len(
+        re.findall(rb"(?:(?<=[" + ends + rb"])|\A)" + number + unit + rb"(?=[" + ends + rb"]|\Z)", rows)
+    )
 
 
 LARGEST = 1e30
 """No quantity a rig knows is larger; sums of squares of what is smaller stay finite."""
 
-NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-"""A decimal number; unlike `float`, neither `1_000` nor digits of other scripts."""
 _FORMULA = re.compile(r"'*[=+\-@＝＋－＠]")
 """What a spreadsheet would take for a formula: our own quotes, then what begins one."""
 _UNKNOWN = frozenset({"", "nan", "na", "n/a", "null", "none"})
+_NOT_AVAILABLE = ("#n/a", "#na", "#nv")
+_NOT_AVAILABLE_BYTES = tuple(text.encode() for text in _NOT_AVAILABLE)
+"""A spreadsheet's word for a value that is not known, in English and German."""
+_WITH_UNIT = re.compile(r"([+\-−]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)")
+_CLOCK = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}.*")
 
 
 def for_spreadsheet(text: str) -> str:
@@ -88,63 +114,104 @@ def from_spreadsheet(text: str) -> str:
     return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
 
 
-class CsvError(ValueError):
-    """The file cannot be read: `line` (from 1, with the header) and `column` are at fault, or None."""
-
-    def __init__(self, what: str, *, line: int | None = None, column: str | None = None) -> None:
-        self.what = what
-        self.line = line
-        self.column = column
-        place = [f"line {line}"] if line is not None else []
-        place += [f"column {_shortened(column)}"] if column is not None else []
-        super().__init__(f"{', '.join(place)}: {what}" if place else what)
-
-
-def _shortened(text: str) -> str:
-    """A cell's text fit for a message: one line, at most 60 characters, nothing unprintable."""
-    shown = text if len(text) <= 60 else f"{text[:57]}..."
-    return shown if shown.isprintable() else repr(shown)[1:-1]
+def _time_of(text: str) -> datetime | None:
+    """The time that a text says as ISO 8601, date and time of day."""
+    try:
+        return datetime.fromisoformat(text) if _CLOCK.fullmatch(text) else None
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """One column: its name, its texts, the line of each, and the decimal sign."""
+    """One column: what it is, its texts, the line of each, and the decimal sign."""
 
-    name: str
+    column: Column
     texts: Sequence[str]
     lines: Sequence[int]
     decimal: str = "."
 
-    def numbers(self) -> list[float | None]:
-        """The cells as numbers; None where blank or `nan`.
+    def numbers(self, report: CsvReport) -> list[float | None]:
+        """Return the cells as numbers in the unit of the column's name; None where blank or `nan`.
 
-        Raises:
-            CsvError: a cell is something else, or infinite, or absurdly large.
+        A cell that is something else, or infinite, or absurdly large, is a fault in the report, and NaN.
         """
-        return [self._number(text, line) for text, line in zip(self.texts, self.lines, strict=True)]
+        found = [self._number(text, line, report) for text, line in zip(self.texts, self.lines, strict=True)]
+        if self.column.is_converted:
+            factor, offset = self.column.factor, self.column.offset
+            return [None if value is None else value * factor + offset for value in found]
+        return found
 
-    def _number(self, text: str, line: int) -> float | None:
+    def _number(self, text: str, line: int, report: CsvReport) -> float | None:
         stripped = text.strip()
+        if self.column.is_clock:
+            return self._seconds(stripped, line, report)
+        number = stripped.replace(",", ".") if self.decimal == "," and "." not in stripped else stripped
+        if NUMBER.fullmatch(number) and (self.decimal == "." or "." not in stripped):
+            value = float(number)
+            if math.fabs(value) <= LARGEST:
+                return value
+            return self._fault(f"'{shortened(text)}' is beyond ±{LARGEST:g}", line, report)
         if stripped.lower() in _UNKNOWN:
             return None
-        other, sign = (",", "point") if self.decimal == "." else (".", "comma")
-        number = stripped.replace(",", ".") if self.decimal == "," else stripped
-        if other in stripped or not NUMBER.fullmatch(number):
-            is_other = re.fullmatch(rf"[+-]?[0-9]+{re.escape(other)}[0-9]+", stripped)
-            hint = f" (decimals are written with a {sign})" if is_other else ""
-            raise CsvError(f"'{_shortened(text)}' is not a number{hint}", line=line, column=self.name)
-        value = float(number)
-        if not math.fabs(value) <= LARGEST:
-            raise CsvError(f"'{_shortened(text)}' is beyond ±{LARGEST:g}", line=line, column=self.name)
-        return value
+        return self._unusual(stripped, line, report)
 
-    def refuse_first(
-        self, values: Sequence[float | None], is_bad: Callable[[float | None], bool], why: str
+    def _unusual(self, text: str, line: int, report: CsvReport) -> float | None:
+        """A cell that is not simply a number."""
+        if text.lower() in _NOT_AVAILABLE:
+            report.count(
+                f"cells with {text} are read as not known", f"line {line}, column {self.column.text}"
+            )
+            return None
+        parts = _WITH_UNIT.fullmatch(text)
+        unit = unit_of_text(parts[2]) if parts is not None else None
+        if parts is not None and (unit is not None or "−" in parts[1]):
+            if unit in {None, self.column.unit} and not (unit is None and parts[2]):
+                plain = parts[1].replace("−", "-")
+                if NUMBER.fullmatch(plain.replace(",", ".")) and self.decimal_of(plain) in {"", self.decimal}:
+                    where = f"line {line}, column {shortened(self.column.text)}: '{shortened(text)}'"
+                    report.count("cells with a unit or a typographic minus are read as numbers", where)
+                    return self._number(plain, line, report)
+            elif unit is not None and self.column.unit is not None:
+                what = f"'{shortened(text)}' is in {unit}, and the column in {self.column.unit}"
+                return self._fault(what, line, report)
+        other, sign = (",", "point") if self.decimal == "." else (".", "comma")
+        is_other = re.fullmatch(rf"[+-]?[0-9]+{re.escape(other)}[0-9]+", text)
+        hint = f" (decimals are written with a {sign})" if is_other else ""
+        return self._fault(f"'{shortened(text)}' is not a number{hint}", line, report)
+
+    @staticmethod
+    def decimal_of(number: str) -> str:
+        """Return the decimal sign in a number, empty without one."""
+        return "," if "," in number else "." if "." in number else ""
+
+    def _seconds(self, text: str, line: int, report: CsvReport) -> float | None:
+        """A time of day as seconds since the column's first."""
+        if text.lower() in _UNKNOWN:
+            return None
+        time, first = _time_of(text), self.column.first
+        if time is None or (first is not None and (time.tzinfo is None) != (first.tzinfo is None)):
+            what = f"'{shortened(text)}' is no time as in the first row (date, time of day, offset or none)"
+            return self._fault(what, line, report)
+        if first is None:
+            self.column.first = first = time
+        return (time - first).total_seconds()
+
+    def _fault(self, what: str, line: int, report: CsvReport) -> float:
+        report.add_fault(CsvError(what, line=line, column=self.column.text))
+        return math.nan
+
+    def refuse(
+        self,
+        values: Sequence[float | None],
+        is_bad: Callable[[float | None], bool],
+        why: str,
+        report: CsvReport,
     ) -> None:
-        """Raises CsvError at the first bad value."""
+        """Add a fault for each bad value; NaN has its own."""
         for value, text, line in zip(values, self.texts, self.lines, strict=True):
-            if is_bad(value):
-                raise CsvError(f"'{_shortened(text)}' {why}", line=line, column=self.name)
+            if (value is None or not math.isnan(value)) and is_bad(value):
+                self._fault(f"'{shortened(text)}' {why}", line, report)
 
 
 MAX_BYTES = 150_000_000
@@ -153,7 +220,6 @@ MAX_ROWS = 100_000
 MAX_CELLS = 2_000_000
 """Bounds what a file of short cells takes in memory."""
 MAX_ROW_CHARACTERS = 1_000_000
-MOST_NAMED = 30
 BATCH_CELLS = 50_000
 """Held as texts at once, which take ten times the memory of numbers."""
 TOLD_LINES = 1000
@@ -161,31 +227,76 @@ TOLD_LINES = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """A header and rows of as many cells; lines count from 1, and a row's line is the one it ends in."""
+class Layout:
+    """How a file is written.
 
-    header: list[str]
+    Attributes:
+        columns: in their order.
+        header_line: the line of the header, from 1.
+        begin: the byte at which the rows begin.
+        first_line: the line that begins there.
+        dialect: how cells are written.
+        units: the cells of the row of units, None without one.
+        report: what is wrong, and what is to be said.
+    """
+
+    columns: list[Column]
     header_line: int
+    begin: int
+    first_line: int
+    dialect: Dialect = COMMAS
+    units: Sequence[str] | None = None
+    report: CsvReport = field(default_factory=CsvReport)
+
+    @property
+    def header(self) -> list[str]:
+        """The names that the columns are read as."""
+        return [column.name for column in self.columns]
+
+    @property
+    def texts(self) -> list[str]:
+        """What the header calls the columns."""
+        return [column.text for column in self.columns]
+
+    def is_comment(self, line: str) -> bool:
+        """Return whether a line that begins with `#` is a comment, and no row with `#N/A` or a text first."""
+        cells = line.strip().split(self.dialect.separator)
+        if not cells[0].startswith("#") or cells[0].strip().lower() in _NOT_AVAILABLE:
+            return False
+        return len(cells) != len(self.columns) or not self.columns[0].is_text
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of as many cells as the header has; lines count from 1, and a row's line is the one it ends in."""
+
+    layout: Layout
     rows: list[list[str]]
     lines: Sequence[int]
-    dialect: Dialect = COMMAS
 
     def column(self, place: int) -> Cells:
-        """The cells of one column."""
+        """Return the cells of one column."""
         texts = [row[place] for row in self.rows]
-        return Cells(self.header[place], texts, self.lines, self.dialect.decimal)
+        return Cells(self.layout.columns[place], texts, self.lines, self.layout.dialect.decimal)
 
 
 def read_tables(
     data: bytes,
-    required: Sequence[str],
+    known: Collection[str],
+    required: Sequence[str] = (),
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Table]:
-    """Reads UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
+    """Read UTF-8 CSV with a header row; BOM, CRLF and blank lines are accepted.
 
-    Cells are separated by commas, or by semicolons or tabs, which allow of decimal commas (`dialect_of`).
-    `progress` gets the share that is read, 0 to 1.
+    Cells are separated by commas, or by semicolons or tabs, which allow of decimal commas (`layout_of`). All
+    faults, those that a consumer adds to the layout's report as well, are raised together at the end.
+
+    Args:
+        data: the file.
+        known: names that have a meaning here.
+        required: those of them that the file must have.
+        progress: gets the share that is read, 0 to 1.
 
     Yields:
         The rows in the order of the file, some at a time, each time under the same header.
@@ -196,81 +307,214 @@ def read_tables(
     """
     if len(data) > MAX_BYTES:
         raise CsvError(f"the file has {len(data)} bytes; at most {MAX_BYTES} are read")
-    dialect = _dialect(data, required)
-    rows = _parsed(data, 0, 1, dialect, "utf-8-sig", progress)
-    line, names = next(rows, (0, []))
-    if not names:
-        raise CsvError("the file is empty")
-    header = _header(names, line, required)
-    n = 0
-    for table in _batches(rows, header, line, dialect):
-        n += len(table.rows)
-        if n > MAX_ROWS:
-            at = table.lines[len(table.rows) - (n - MAX_ROWS)]
-            raise CsvError(f"the file has more than {MAX_ROWS} rows", line=at)
-        if n * len(header) > MAX_CELLS:
-            at = table.lines[MAX_CELLS // len(header) - (n - len(table.rows))]
-            raise CsvError(f"the file has more than {MAX_CELLS} cells", line=at)
-        yield table
-    if n == 0:
-        raise CsvError("the file has a header and no rows", line=line)
+    layout = layout_of(data, known, required)
+    width, n = len(layout.columns), 0
+    with layout.report as report:
+        for table in read_rows(data, layout, layout.begin, layout.first_line, progress):
+            n += len(table.rows)
+            if n > MAX_ROWS:
+                at = table.lines[len(table.rows) - (n - MAX_ROWS)]
+                raise CsvError(f"the file has more than {MAX_ROWS} rows", line=at)
+            if n * width > MAX_CELLS:
+                at = table.lines[MAX_CELLS // width - (n - len(table.rows))]
+                raise CsvError(f"the file has more than {MAX_CELLS} cells", line=at)
+            yield table
+        if n == 0 and not report.has_faults:
+            raise CsvError("the file has a header and no rows", line=layout.header_line)
 
 
-def _dialect(data: bytes, required: Sequence[str]) -> Dialect:
-    """The dialect of a whole file, by the names that it must have."""
-    start = data[: MAX_ROW_CHARACTERS + 1].removeprefix(codecs.BOM_UTF8).lstrip(b"\r\n")
-    lines = re.split(rb"\r\n|\r|\n", start, maxsplit=1)
-    return dialect_of(lines[0].decode(errors="replace"), b"".join(lines[1:]), lambda name: name in required)
+def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ()) -> Layout:
+    """Return how a file is written.
+
+    The header is the first line that is neither blank nor a comment; or the comment before it, if only that
+    has known names. A row of units may follow it.
+
+    Args:
+        data: from the file's beginning, a megabyte of rows or all of them.
+        known: names that have a meaning here.
+        required: those of them that the file must have.
+
+    Raises:
+        CsvError: it is empty, or no header, or lacks columns; says all that it lacks.
+    """
+    report = CsvReport()
+    row = _next_row(data, len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0, 1)
+    header = row
+    if row.comments and not _has_known(row.text, known):
+        bare = row.comments[-1]._replace(text=row.comments[-1].text.lstrip(b" #"))
+        if _has_known(bare.text, known):
+            header = bare
+            report.say(f"the names of the columns are read from the comment in line {header.line}")
+    if not header.text:
+        raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
+    rows = data[header.end : header.end + EXAMINED_BYTES]
+    dialect = _dialect_of(header.text.decode(errors="replace"), rows, lambda name: names_a_known(name, known))
+    texts = [from_spreadsheet(name.strip()) for name in _cells(header, dialect)]
+    if len(texts) > MAX_COLUMNS:
+        what = f"the header has {len(texts)} columns; at most {MAX_COLUMNS} are read"
+        raise CsvError(what, line=header.line)
+    begin, first_line, units = header.end, header.line + 1, None
+    second = _next_row(data, begin, first_line)
+    if _is_of_units(second, dialect, len(texts)):
+        begin, first_line, units = second.end, second.line + 1, _cells(second, dialect)
+        report.say(f"line {second.line} is read as a row of units")
+    skipped = [*row.comments, *(second.comments if units else ())]
+    for comment in skipped:
+        if comment.line != header.line:
+            report.count(COMMENTS, f"line {comment.line}")
+    columns = columns_of(texts, units, known, required, header.line)
+    _find_clocks(columns, data[begin : begin + EXAMINED_BYTES // 10], dialect, known)
+    refuse_bad_names(columns, header.line)
+    with report:
+        for fault in missing_columns(columns, required, header.line):
+            report.add_fault(fault)
+    for note in header_notes(columns, known):
+        report.say(note)
+    return Layout(columns, header.line, begin, first_line, dialect, units, report)
 
 
-def read_header(line_of_names: bytes, line: int, dialect: Dialect) -> list[str]:
-    """Return the column names of a header row in this line, checked as `read_tables` does."""
-    return _header(next(_parsed(line_of_names, 0, line, dialect))[1], line, ())
+class _Row(NamedTuple):
+    """A line: its text without its end, its number, where it begins and ends, and the comments before it."""
+
+    text: bytes
+    line: int
+    begin: int
+    end: int
+    comments: tuple[_Row, ...] = ()
+
+
+_LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
+
+
+def _next_row(data: bytes, begin: int, line: int) -> _Row:
+    """The next line that is neither blank nor a comment; without text at the end of the data."""
+    comments: list[_Row] = []
+    while begin < len(data) and (found := _LINE.match(data, begin)) is not None:
+        text = found[1]
+        if len(text) > 4 * MAX_ROW_CHARACTERS:  # as bytes of UTF-8; to take it apart would cost many seconds
+            raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=line)
+        row = _Row(text, line, begin, found.end())
+        if text.lstrip(b" ").startswith(b"#") and not text.lower().startswith(_NOT_AVAILABLE_BYTES):
+            comments.append(row)
+        elif text:
+            return row._replace(comments=tuple(comments))
+        begin, line = found.end(), line + 1
+    return _Row(b"", line, begin, begin, tuple(comments))
+
+
+def _cells(row: _Row, dialect: Dialect) -> list[str]:
+    """The cells of one line."""
+    try:
+        text = row.text.decode()
+        return next(csv.reader([text], delimiter=dialect.separator, strict=True))
+    except UnicodeDecodeError as error:
+        raise _not_utf8(error, row.line) from error
+    except csv.Error as error:
+        raise CsvError(f"is not CSV ({error})", line=row.line) from error
+
+
+def _not_utf8(error: UnicodeDecodeError, line: int) -> CsvError:
+    byte = error.object[error.start]
+    return CsvError(f"is not UTF-8 text (byte 0x{byte:02X}): save the file as UTF-8", line=line)
+
+
+def _has_known(names: bytes, known: Collection[str]) -> bool:
+    """Whether a line has a known name, whatever separates its cells."""
+    text = names.decode(errors="replace")
+    return any(_known(text, sign, lambda name: names_a_known(name, known))[0] for sign in SEPARATORS)
+
+
+def _is_of_units(row: _Row, dialect: Dialect, width: int) -> bool:
+    """Whether a row has units in its cells, and neither numbers nor times."""
+    if len(row.text) > 20 * width + 200:
+        return False
+    try:
+        cells = [cell.strip() for cell in _cells(row, dialect)] if row.text else []
+    except CsvError:  # it is told where rows are read
+        return False
+    numbers = (NUMBER.fullmatch(cell.replace(",", ".")) or _CLOCK.fullmatch(cell) for cell in cells)
+    words = _UNKNOWN - {""}
+    return (
+        len(cells) == width
+        and any(unit_of_text(cell) for cell in cells)
+        and not any(numbers)
+        and not any(cell.lower() in words for cell in cells)
+    )
+
+
+def _find_clocks(columns: list[Column], rows: bytes, dialect: Dialect, known: Collection[str]) -> None:
+    """Mark the columns whose first cells are times of day; one of time without its unit becomes `time_s`."""
+    named = {column.name for column in columns}
+    unnamed = [c for c in columns if not c.is_known and clock_name(c.text, known)]
+    if "time_s" in named or len(unnamed) > 1:
+        unnamed = []
+    for column in [*(c for c in columns if c.is_known and c.name in CLOCK_NAMES), *unnamed]:
+        place = next(k for k, one in enumerate(columns) if one is column)
+        reader = csv.reader(
+            io.StringIO(rows.decode(errors="replace"), newline=""), delimiter=dialect.separator
+        )
+        try:
+            cells = [row[place].strip() for row in itertools.islice(reader, 100) if len(row) > place]
+        except csv.Error:  # it is told where rows are read
+            continue
+        first = next((cell for cell in cells if cell.lower() not in _UNKNOWN), "")
+        if _time_of(first) is not None:
+            column.name = column.name if column.is_known else "time_s"
+            column.is_known = column.is_clock = True
+            column.factor, column.offset = 1.0, 0.0
+
+
+COMMENTS = "comment lines are left out"
 
 
 def read_rows(
-    data: bytes, first: int, header: list[str], first_line: int, dialect: Dialect
+    data: bytes,
+    layout: Layout,
+    first: int = 0,
+    first_line: int = 1,
+    progress: Callable[[float], None] | None = None,
 ) -> Iterator[Table]:
-    """Reads rows under a header read before, from byte `first` on, which begins line `first_line`."""
-    return _batches(_parsed(data, first, first_line, dialect), header, first_line, dialect)
+    """Read rows in a layout, from byte `first` on, which begins line `first_line`.
 
-
-def _batches(
-    rows: Iterator[tuple[int, list[str]]], header: list[str], header_line: int, dialect: Dialect
-) -> Iterator[Table]:
-    most = max(1, BATCH_CELLS // len(header))
+    A row that has not as many cells as the header is a fault in the layout's report, and left out.
+    """
+    width = len(layout.columns)
+    most = max(1, BATCH_CELLS // width)
     held: list[list[str]] = []
     lines = array("q")
-    for line, row in rows:
-        _check_row(row, len(header), line)
+    for line, row in _parsed(data, first, first_line, layout, progress):
+        if len(row) != width:
+            hint = " (decimals are written with a point)" if len(row) == 2 * width else ""
+            what = f"has {len(row)} cells where the header has {width}{hint}"
+            layout.report.add_fault(CsvError(what, line=line))
+            continue
         held.append(row)
         lines.append(line)
         if len(held) == most:
-            yield Table(header, header_line, held, lines, dialect)
+            yield Table(layout, held, lines)
             held, lines = [], array("q")
     if held:
-        yield Table(header, header_line, held, lines, dialect)
+        yield Table(layout, held, lines)
 
 
 def _parsed(
     data: bytes,
     first: int,
     first_line: int,
-    dialect: Dialect,
-    encoding: str = "utf-8",
+    layout: Layout,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[int, list[str]]]:
-    """Rows that are not blank, each with the line it ends in."""
-    lines = _Lines(data, first, first_line, encoding, progress)
-    reader = csv.reader(lines, delimiter=dialect.separator, strict=True)
+    """Rows that are neither blank nor comments, each with the line it ends in."""
+    lines = _Lines(data, first, first_line, layout, progress)
+    reader = csv.reader(lines, delimiter=layout.dialect.separator, strict=True)
     try:
         for row in reader:
+            lines.is_in_row = False
             if row:
                 lines.since_row = 0
-                yield first_line - 1 + reader.line_num, row
+                yield lines.number - 1, row
     except csv.Error as error:
-        line = first_line - 1 + max(reader.line_num, 1)
-        raise CsvError(f"is not CSV ({error})", line=line) from error
+        raise CsvError(f"is not CSV ({error})", line=max(lines.number - 1, first_line)) from error
 
 
 class _Lines:
@@ -281,72 +525,42 @@ class _Lines:
         data: bytes,
         first: int,
         first_line: int,
-        encoding: str,
+        layout: Layout,
         progress: Callable[[float], None] | None,
     ) -> None:
         self._bytes = io.BytesIO(data)  # shares them
         self._bytes.seek(first)
-        self._text = io.TextIOWrapper(self._bytes, encoding, newline="")
+        self._text = io.TextIOWrapper(self._bytes, "utf-8", newline="")
         self._data = data
         self._first = first
         self._first_line = first_line
+        self._layout = layout
+        self.number = first_line
         self.since_row = 0
+        self.is_in_row = False
         self._progress = progress
 
     def __iter__(self) -> Iterator[str]:
-        number = self._first_line
         while line := self._next_line():
+            self.number += 1
+            if self._progress is not None and self.number % TOLD_LINES == 0:
+                self._progress(self._bytes.tell() / len(self._data))
+            if line[0] in "# " and not self.is_in_row and self._layout.is_comment(line):
+                self._layout.report.count(COMMENTS, f"line {self.number - 1}")
+                continue
+            self.is_in_row = True
             self.since_row += len(line)
             if self.since_row > MAX_ROW_CHARACTERS:
                 raise CsvError(
                     f"the row, with blank lines before it, is longer than {MAX_ROW_CHARACTERS} characters",
-                    line=number,
+                    line=self.number - 1,
                 )
             yield line
-            number += 1
-            if self._progress is not None and number % TOLD_LINES == 0:
-                self._progress(self._bytes.tell() / len(self._data))
 
     def _next_line(self) -> str:
         try:
             return self._text.readline(MAX_ROW_CHARACTERS + 1)
         except UnicodeDecodeError as error:
             at = self._bytes.tell() - len(error.object) + error.start
-            raise CsvError(
-                f"is not UTF-8 text (byte 0x{error.object[error.start]:02X}): save the file as UTF-8",
-                line=self._first_line + self._data.count(b"\n", self._first, at),
-            ) from error
-
-
-def _header(row: list[str], line: int, required: Sequence[str]) -> list[str]:
-    names = [from_spreadsheet(name.strip()) for name in row]
-    if len(names) > MAX_COLUMNS:
-        raise CsvError(f"the header has {len(names)} columns; at most {MAX_COLUMNS} are read", line=line)
-    for place, name in enumerate(names):
-        if name and name in names[:place]:
-            raise CsvError("the header has this name twice", line=line, column=name)
-        if len(name) > 100 or not name.isprintable():
-            raise CsvError("a name has at most 100 characters, all printable", line=line, column=name)
-    for name in required:
-        if name not in names:
-            raise CsvError(f"there is no such column{_hint(names)}", line=line, column=name)
-    return names
-
-
-def _hint(names: list[str]) -> str:
-    if all(NUMBER.fullmatch(name) for name in names):
-        return ": the first line holds numbers, and the column names must come before it"
-    return f"; {there_are(names)}"
-
-
-def there_are(names: Sequence[str]) -> str:
-    """The columns that a file has, in so many words as a message bears."""
-    shown = ", ".join(name for name in names[:MOST_NAMED] if name) or "none with a name"
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return f"there are: {shown}{more} (calrig/docs/reference/file-formats.md lists the columns)"
-
-
-def _check_row(row: list[str], width: int, line: int) -> None:
-    if len(row) != width:
-        hint = " (decimals are written with a point)" if len(row) == 2 * width else ""
-        raise CsvError(f"has {len(row)} cells where the header has {width}{hint}", line=line)
+            line = self._first_line + self._data.count(b"\n", self._first, at)
+            raise _not_utf8(error, line) from error

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import overload
 
-from calrig.calibration.poses import COLUMNS, INTEGER, MOUNT_DEG, REQUIRED, Pose
+from calrig.calibration.poses import COLUMNS, HOST_TIME, INTEGER, MOUNT_DEG, OF_MOUNTS, REQUIRED, Pose
 from calrig.calibration.separation import FACES, MountedPoses
-from calrig.export.csv_table import Cells, CsvError, for_spreadsheet, from_spreadsheet, read_tables
+from calrig.export.csv_errors import CsvError, CsvReport
+from calrig.export.csv_table import Cells, for_spreadsheet, from_spreadsheet, read_tables
 
 __all__ = [
     "CsvError",
@@ -146,18 +147,20 @@ class Texts:
 def read_labelled_columns(
     data: bytes, labels: Sequence[str], progress: Callable[[float], None] | None = None
 ) -> tuple[PoseColumns, dict[str, Texts], list[str]]:
-    """Columns of numbers and of text, in the order of the file, and what was left out."""
+    """Return columns of numbers and of text, in the order of the file, and how they were read."""
     columns: list[_Column] = []
     texts: dict[str, Texts] = {}
-    for table in read_tables(data, REQUIRED, progress=progress):
-        columns = columns or [_Column(name) for name in table.header]
+    report = CsvReport()
+    for table in read_tables(data, _KNOWN, REQUIRED, progress=progress):
+        report = table.layout.report
+        columns = columns or [_Column(name) for name in table.layout.header]
         for place, column in enumerate(columns):
             if column.name in labels:
                 cells, said = table.column(place), texts.setdefault(column.name, Texts([], []))
                 said.texts.extend(from_spreadsheet(text.strip()) for text in cells.texts)
                 said.lines.extend(cells.lines)
             else:
-                column.take(table.column(place))
+                column.take(table.column(place), report)
     warnings: list[str] = []
     kept = {}
     for place, column in enumerate(columns):
@@ -167,7 +170,8 @@ def read_labelled_columns(
             warnings.append(f"column {column.name or place + 1}: {why}; left out")
         else:
             kept[column.name] = column.cells
-    return PoseColumns(kept), texts, warnings
+            report.take(column.remarks)
+    return PoseColumns(kept), texts, [*report.notes(), *warnings]
 
 
 def write_poses(poses: Sequence[Pose], labels: Callable[[Pose], Labels] | None = None) -> str:
@@ -213,29 +217,30 @@ def _text(value: float | int | None) -> str:
 
 
 class _Column:
-    """A column as it grows; eight bytes a cell, NaN where it is not known."""
+    """A column as it grows; eight bytes a cell, NaN where it is not known.
+
+    `remarks` are on how cells were read, for as long as the column is not left out.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.cells = array("d")
+        self.remarks = CsvReport()
         self._why_not = "" if name else "has no name"
 
-    def take(self, cells: Cells) -> None:
-        """The next cells.
-
-        Raises:
-            CsvError: the column is one of the contract's, and a cell is nothing that it can hold.
-        """
+    def take(self, cells: Cells, report: CsvReport) -> None:
+        """Add the next cells; what a column of the contract cannot hold is a fault in the report."""
         if self._why_not:
             return
-        try:
-            values = cells.numbers()
-        except CsvError as error:
-            if self.name in (*COLUMNS, MOUNT_DEG):
-                raise
-            self._why_not = f"is not numeric (line {error.line}: {error.what})"
+        if self.name in (*COLUMNS, MOUNT_DEG):
+            values = cells.numbers(report)
+            _check(cells, values, report)
+        else:
+            values = cells.numbers(self.remarks)
+        if self.remarks.has_faults:
+            fault = self.remarks.first_fault
+            self._why_not = f"is not numeric (line {fault.line}: {fault.what})"
             return
-        _check(cells, values)
         self.cells.extend(math.nan if value is None else value for value in values)
 
     def why_left_out(self) -> str:
@@ -245,23 +250,32 @@ class _Column:
         return self._why_not
 
 
-def _check(cells: Cells, values: Sequence[float | None]) -> None:
-    """Refuses what a column of the contract cannot hold."""
-    if cells.name in REQUIRED:
-        cells.refuse_first(values, lambda value: value is None, "is not known, and a pose needs it")
-    if cells.name not in INTEGER:
-        return
-    cells.refuse_first(values, lambda value: value is not None and not value.is_integer(), "is not whole")
-    if cells.name == "approach":
-        cells.refuse_first(values, lambda value: value not in {None, -1.0, 0.0, 1.0}, "is none of -1, 0, 1")
-    else:
-        cells.refuse_first(
-            values, lambda value: value is not None and not 0 <= value <= MAX_COUNT, "is not a count"
+def _check(cells: Cells, values: Sequence[float | None], report: CsvReport) -> None:
+    """Report what a column of the contract cannot hold."""
+    name = cells.column.name
+    if name in REQUIRED:
+        cells.refuse(values, lambda value: value is None, "is not known, and a pose needs it", report)
+    if name == "approach":
+        cells.refuse(values, lambda value: value not in {None, -1.0, 0.0, 1.0}, "is none of -1, 0, 1", report)
+    elif name in INTEGER:
+        counts = [0.0 if value is None else value for value in values]
+        cells.refuse(counts, lambda value: not _is_whole(value), "is not whole", report)
+        cells.refuse(
+            counts, lambda value: _is_whole(value) and not _is_count(value), "is not a count", report
         )
+
+
+def _is_whole(value: float | None) -> bool:
+    return value is not None and value.is_integer()
+
+
+def _is_count(value: float | None) -> bool:
+    return value is not None and 0 <= value <= MAX_COUNT
 
 
 AXIS = "mount_axis"
 LABELS = ("unit", "mount", AXIS)
+_KNOWN = (*COLUMNS, *OF_MOUNTS, "velocity_dps", HOST_TIME, *LABELS)
 
 
 def read_run(

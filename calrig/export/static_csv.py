@@ -11,30 +11,29 @@ import io
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
+from calrig.export.csv_columns import DID_YOU_MEAN, Column, there_are
+from calrig.export.csv_errors import CsvError
 from calrig.export.csv_table import (
     COMMAS,
-    EXAMINED_BYTES,
+    COMMENTS,
     LARGEST,
     MAX_ROW_CHARACTERS,
-    CsvError,
     Dialect,
-    dialect_of,
-    read_header,
+    Layout,
+    layout_of,
     read_rows,
-    there_are,
 )
 
 PIECE_BYTES = 2_000_000
 """Small compared with a log, large compared with the cost of a piece."""
 _PLAIN = b"0123456789+-.eE,\nnaNA"
 _SIGNED_NAN = (b"-n", b"-N", b"+n", b"+N")
-_BOM = b"\xef\xbb\xbf"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +41,12 @@ class LogTable:
     """The columns of numbers.
 
     Attributes:
-        header: the name of every column.
-        header_line: its line, from 1.
-        columns: (N,) each, by place in the header, those that were asked for; NaN where blank or `nan`.
+        layout: how the file is written.
+        columns: (N,) each, by place in the header, those that were asked for, in the unit of their name;
+            NaN where blank or `nan`.
     """
 
-    header: list[str]
-    header_line: int
+    layout: Layout
     columns: dict[int, FloatArray]
     _first_rows: list[int]
     _lines: list[Sequence[int]]
@@ -61,17 +59,17 @@ class LogTable:
 
 def read_log_table(
     data: bytes,
-    wanted: Callable[[str], bool],
+    wanted: Collection[str],
     *,
     max_rows: int,
     max_bytes: int,
     progress: Callable[[float], None] | None = None,
 ) -> LogTable:
-    """Reads the columns whose names are wanted, as `csv_table.read_tables` and `Cells.numbers` would.
+    """Read the columns whose names are wanted, as `csv_table.read_tables` and `Cells.numbers` would.
 
     Args:
         data: UTF-8 CSV with a header row.
-        wanted: whether a column's cells must be numbers and are kept.
+        wanted: names of columns whose cells must be numbers and are kept.
         max_rows: more are refused.
         max_bytes: more are refused.
         progress: gets the share that has been read, from 0 to 1.
@@ -81,85 +79,79 @@ def read_log_table(
     """
     if len(data) > max_bytes:
         raise CsvError(f"the file has {len(data)} bytes; at most {max_bytes} are read")
-    header, header_line, body, dialect = header_of(data, wanted)
-    places = [place for place, name in enumerate(header) if wanted(name)]
-    most = data.count(b"\n", body) + data.count(b"\r", body) + 1
-    most = min(most, max_rows, (len(data) - body) // len(header) + 1)  # a cell takes a byte with its comma
+    layout = layout_of(data, wanted)
+    places = [place for place, column in enumerate(layout.columns) if column.is_known]
+    most = data.count(b"\n", layout.begin) + data.count(b"\r", layout.begin) + 1
+    cells = len(data) - layout.begin
+    most = min(most, max_rows, cells // len(layout.columns) + 1)  # a cell takes a byte with its comma
     values = np.empty((len(places), most))
     n, first_rows, lines = 0, [], []
-    for end, read, at in _read(data, body, header, header_line + 1, places, dialect):
-        if n + len(at) > max_rows:
-            raise CsvError(f"the file has more than {max_rows} rows", line=at[max_rows - n])
-        values[:, n : n + len(at)] = read
-        first_rows.append(n)
-        lines.append(at)
-        n += len(at)
-        if progress is not None:
-            progress(end / len(data))
-    if n == 0:
-        raise CsvError("the file has a header and no rows", line=header_line)
+    with layout.report as report:
+        for end, read, at in _read(data, layout, places):
+            if n + len(at) > max_rows:
+                raise CsvError(f"the file has more than {max_rows} rows", line=at[max_rows - n])
+            values[:, n : n + len(at)] = read
+            first_rows.append(n)
+            lines.append(at)
+            n += len(at)
+            if progress is not None:
+                progress(end / len(data))
+        if n == 0 and not report.has_faults:
+            raise CsvError("the file has a header and no rows", line=layout.header_line)
     columns = {place: values[k, :n] for k, place in enumerate(places)}
-    return LogTable(header, header_line, columns, first_rows, lines)
-
-
-def header_of(data: bytes, wanted: Callable[[str], bool]) -> tuple[list[str], int, int, Dialect]:
-    """The names, the line they stand in, where the rows begin, and how cells are written.
-
-    Args:
-        data: from the file's beginning, a megabyte of rows or all of them.
-        wanted: whether a column's name is one of those looked for.
-
-    Raises:
-        CsvError: it is empty, or no header.
-    """
-    first = len(_BOM) if data.startswith(_BOM) else 0
-    line = 1
-    while data[first : first + 1] in (b"\n", b"\r"):
-        first += 2 if data.startswith(b"\r\n", first) else 1
-        line += 1
-    if first >= len(data):
-        raise CsvError("the file is empty")
-    ends = [end for end in (data.find(b"\n", first), data.find(b"\r", first)) if end >= 0]
-    end = min(ends, default=len(data))
-    if end - first > 4 * MAX_ROW_CHARACTERS:  # as bytes of UTF-8; to take it apart would cost many seconds
-        raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=line)
-    begin = end + (2 if data.startswith(b"\r\n", end) else 1)
-    names, rows = data[first:end], data[begin : begin + EXAMINED_BYTES]
-    dialect = dialect_of(names.decode(errors="replace"), rows, wanted)
-    return read_header(names, line, dialect), line, begin, dialect
+    return LogTable(layout, columns, first_rows, lines)
 
 
 Read = tuple[int, FloatArray, Sequence[int]]
 """Where it ends in the file, its (columns, rows) numbers, and the line of each row."""
 
 
-def _read(
-    data: bytes, first: int, header: list[str], line: int, places: list[int], dialect: Dialect
-) -> Iterator[Read]:
-    """The rows from byte `first` on, which begins this line."""
-    if b'"' in data or data.count(b"\r") != data.count(b"\r\n"):  # lines may end where no LF is, or not there
-        yield from _read_exactly(data, first, header, line, places, dialect)
+def _read(data: bytes, layout: Layout, places: list[int]) -> Iterator[Read]:
+    first, line = layout.begin, layout.first_line
+    is_quoted = data.find(b'"', first) >= 0
+    if is_quoted or data.count(b"\r") != data.count(b"\r\n"):  # lines may end where no LF is, or not there
+        yield from _read_exactly(data, layout, first, line, places)
         return
+    converted = [(k, layout.columns[place]) for k, place in enumerate(places)]
+    converted = [(k, column) for k, column in converted if column.is_converted]
+    has_clock = any(layout.columns[place].is_clock for place in places)
     while first < len(data):
         end = data.rfind(b"\n", first, first + PIECE_BYTES) + 1 or data.find(b"\n", first) + 1 or len(data)
         if end - first > max(PIECE_BYTES, 4 * MAX_ROW_CHARACTERS):  # as bytes of UTF-8
             raise CsvError(f"the row is longer than {MAX_ROW_CHARACTERS} characters", line=line)
         piece = data[first:end]
-        plain = _plain(piece, len(header), dialect)
+        rows, comments = _without_comments(piece, layout) if b"#" in piece else (piece, [])
+        plain = None if has_clock else _plain(rows, len(layout.columns), layout.dialect)
         if plain is not None:
-            yield end, plain.T[places], range(line, line + len(plain))
+            read = plain.T[places]
+            for k, column in converted:
+                read[k] = read[k] * column.factor + column.offset
+            at: Sequence[int] = range(line, line + len(plain) + len(comments))
+            yield end, read, np.delete(at, comments).tolist() if comments else at
+            for place in comments:
+                layout.report.count(COMMENTS, f"line {line + place}")
         else:
-            for _, read, at in _read_exactly(piece, 0, header, line, places, dialect):
+            for _, read, at in _read_exactly(piece, layout, 0, line, places):
                 yield end, read, at
         first = end
         line += piece.count(b"\n")
 
 
-def _read_exactly(
-    data: bytes, first: int, header: list[str], line: int, places: list[int], dialect: Dialect
-) -> Iterator[Read]:
-    for table in read_rows(data, first, header, line, dialect):
-        numbers = [table.column(place).numbers() for place in places]
+def _without_comments(piece: bytes, layout: Layout) -> tuple[bytes, list[int]]:
+    """A piece without its comments, and which of its lines these are."""
+    lines = piece.split(b"\n")
+    comments = [
+        place
+        for place, line in enumerate(lines)
+        if line[:1] in {b"#", b" "} and layout.is_comment(line.decode(errors="replace"))
+    ]
+    left_out = set(comments)
+    return b"\n".join(line for place, line in enumerate(lines) if place not in left_out), comments
+
+
+def _read_exactly(data: bytes, layout: Layout, first: int, line: int, places: list[int]) -> Iterator[Read]:
+    for table in read_rows(data, layout, first, line):
+        numbers = [table.column(place).numbers(layout.report) for place in places]
         read = np.array(numbers, dtype=np.float64).reshape(len(places), len(table.rows))
         yield len(data), read, table.lines
 
@@ -194,6 +186,11 @@ MAX_BYTES = 1_500_000_000
 TIME, TEMPERATURE = "time_s", "temperature_c"
 _SENSOR = re.compile(r"(accel|gyro)_([xyz])_(g|mps2|dps|rps|lsb)")
 _UNITS = {"accel": ("g", "mps2", "lsb"), "gyro": ("dps", "rps", "lsb")}
+_KNOWN = (
+    TIME,
+    *(f"{sensor}_{axis}_{unit}" for sensor, units in _UNITS.items() for axis in AXES for unit in units),
+    TEMPERATURE,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,14 +253,14 @@ def read_static(
     """
     ranges = {"accel": accel_range_g, "gyro": gyro_range_dps}
     _refuse_no_range(ranges)
-    table = read_log_table(data, _is_known, max_rows=max_samples, max_bytes=MAX_BYTES, progress=progress)
-    _refuse_two_units(table.header, table.header_line)
+    table = read_log_table(data, _KNOWN, max_rows=max_samples, max_bytes=MAX_BYTES, progress=progress)
+    _refuse_two_units(table.layout.columns, table.layout.header_line)
     channels, time_s, warnings = _channels_of(table, ranges)
     if not channels:
         raise CsvError(
             "there is no channel of a log (accel_x_g, gyro_x_dps, temperature_c, …; also accel_x_mps2, "
-            f"gyro_x_rps, accel_x_lsb); {there_are(table.header)}",
-            line=table.header_line,
+            f"gyro_x_rps, accel_x_lsb){_nearly(warnings)}; {there_are(table.layout.texts)}",
+            line=table.layout.header_line,
         )
     ordered = {name: channels[name] for name in sorted(channels, key=_order)}
     flaw = "" if time_s is None else _flaw_of(time_s, table)
@@ -280,10 +277,10 @@ def _channels_of(
     table: LogTable, ranges: Mapping[str, float | None]
 ) -> tuple[dict[str, FloatArray], FloatArray | None, list[str]]:
     """(N,) each channel in its unit, (N,) the time where it is there, and what was left out."""
-    warnings: list[str] = []
+    warnings = table.layout.report.notes()
     channels: dict[str, FloatArray] = {}
     time_s: FloatArray | None = None
-    for place, name in enumerate(table.header):
+    for place, name in enumerate(table.layout.header):
         if place not in table.columns:
             warnings.append(f"column {name or place + 1} is not a channel of a log; left out")
         elif np.isnan(values := table.columns[place]).all():
@@ -315,14 +312,15 @@ def accel_g_of(log: StaticLog) -> FloatArray:
             )
     missing = next(name for axis in AXES if (name := f"accel_{axis}_g") not in log.channels)
     raise CsvError(
-        f"there is no such column: gravity needs all three axes; {there_are(list(log.channels))}",
+        f"there is no such column{_nearly(log.warnings)}: gravity needs all three axes; "
+        f"{there_are(list(log.channels))}",
         column=missing,
     )
 
 
-def _is_known(name: str) -> bool:
-    sensor = _SENSOR.fullmatch(name)
-    return name in (TIME, TEMPERATURE) if sensor is None else sensor[3] in _UNITS[sensor[1]]
+def _nearly(warnings: Sequence[str]) -> str:
+    """What was said of names that are nearly known, for the error of a file that lacks these."""
+    return "".join(f"; {warning}" for warning in warnings if DID_YOU_MEAN in warning)
 
 
 def _flaw_of(time_s: FloatArray, table: LogTable) -> str:
@@ -352,16 +350,15 @@ def _in_unit(
     return f"{sensor}_{axis}_{target}", values
 
 
-def _refuse_two_units(header: list[str], line: int) -> None:
+def _refuse_two_units(columns: Sequence[Column], line: int) -> None:
     seen: dict[tuple[str, str], str] = {}
-    for name in header:
-        sensor = _SENSOR.fullmatch(name)
+    for column in columns:
+        sensor = _SENSOR.fullmatch(column.name)
         if sensor is None:
             continue
-        if (first := seen.setdefault((sensor[1], sensor[2]), name)) != name:
-            raise CsvError(
-                f"says the same as {first} in another unit: keep one of them", line=line, column=name
-            )
+        if (first := seen.setdefault((sensor[1], sensor[2]), column.text)) != column.text:
+            what = f"says the same as {first} in another unit: keep one of them"
+            raise CsvError(what, line=line, column=column.text)
 
 
 def _order(name: str) -> tuple[int, str]:

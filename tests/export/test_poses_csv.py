@@ -12,7 +12,7 @@ from support import DATA
 
 from calrig.calibration.poses import COLUMNS, Pose
 from calrig.export import csv_table
-from calrig.export.csv_table import CsvError
+from calrig.export.csv_errors import CsvError
 from calrig.export.poses_csv import read_poses, read_run, write_poses
 
 number = st.floats(-1e30, 1e30, allow_nan=False)

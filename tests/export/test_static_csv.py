@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calrig.export.csv_table import CsvError
+from calrig.export.csv_errors import CsvError
 from calrig.export.static_csv import accel_g_of, read_static
 
 

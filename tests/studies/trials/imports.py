@@ -17,7 +17,7 @@ from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Invalid
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
-from calrig.export.csv_table import CsvError
+from calrig.export.csv_errors import CsvError
 from calrig.export.poses_csv import read_poses, write_poses
 from calrig.export.static_csv import read_static
 from calrig.store import Store
