@@ -61,6 +61,7 @@ _SUFFIX = re.compile(r"(.+)_([^_]+)")
 _CLOCKS = frozenset(
     {"time", "timestamp", "datetime", "date_time", "time_utc", "timestamp_utc", "datetime_utc"}
 )
+_NO_UNITS = frozenset({"-", "–", "1"})
 _CLOCK_UNITS = frozenset({"utc", "iso", "iso8601", "iso 8601", "local"})
 CLOCK_NAMES = ("time_s", "host_time_s")
 
@@ -127,13 +128,13 @@ def _column(text: str, unit_text: str, known: Collection[str]) -> Column:
     return Column(text, text, unit or stem_and_unit(normalised(text))[1])
 
 
-def _with_units(text: str) -> list[tuple[str, Unit]]:
+def _with_units(text: str) -> list[tuple[str, Unit | None]]:
     """The name and the unit that a text may be made of."""
-    found = []
+    found: list[tuple[str, Unit | None]] = []
     for pattern in (_BRACKETS, _SLASH, _LAST_WORD):
         parts = pattern.fullmatch(text)
         unit = None if parts is None else unit_of_text(parts[2])
-        if parts is not None and unit is not None:
+        if parts is not None and (unit is not None or parts[2] in _NO_UNITS):
             found.append((normalised(parts[1]), unit))
     return found
 
@@ -147,7 +148,7 @@ def _known_by(text: str, stem: str, stated: Unit | None, known: Collection[str])
     if stated is None:
         return None
     if stem in known and (own := stem_and_unit(stem)[1]) is not None:
-        raise CsvError(f"is said to be in {stated.symbol}, and its name says {own.symbol}", column=text)
+        raise CsvError(f"its name says {own}, and brackets or the row of units say {stated}", column=text)
     for name, wanted in _of_stem(stem, stated, known):
         if (linear := conversion(stated, wanted)) is not None:
             return Column(text, name, stated, *linear, is_known=True)
@@ -212,7 +213,7 @@ def missing_columns(
     own = [column.text for column in columns if not column.is_known and column.text]
     found = []
     for name in absent:
-        near = next((text for text in own if _is_nearly(text, name, len(name) // 3)), None)
+        near = next((text for text in own if _misspelling(text, name) <= len(name) // 3), None)
         hint = "" if near is None else f"; {shortened(near)}: {DID_YOU_MEAN} {_with_unit(name, near)}?"
         found.append(CsvError(f"there is no such column{why}{hint}", line=line, column=name))
     if found:
@@ -244,7 +245,10 @@ def header_notes(columns: Sequence[Column], known: Collection[str]) -> list[str]
 
 
 def _nearest(text: str, names: Sequence[str]) -> str | None:
-    return next((name for name in names if len(name) >= 6 and _is_nearly(text, name, 2)), None)
+    """The one of some names that a text nearly is, None if none."""
+    away = {name: _misspelling(text, name) for name in names if len(name) >= 6}
+    name = min(away, key=away.__getitem__, default=None)
+    return None if name is None or away[name] > 2 else name
 
 
 def _with_unit(name: str, text: str) -> str:
@@ -253,15 +257,17 @@ def _with_unit(name: str, text: str) -> str:
     return name if unit is None or normalised(text).endswith(name[len(stem) :]) else f"{name}, in {unit}"
 
 
-def _is_nearly(text: str, name: str, most: int) -> bool:
-    """Whether a name lacks only the unit, or is so few letters away; another digit is another sensor."""
+def _misspelling(text: str, name: str) -> int:
+    """How many letters a text is away from a name; 0 if only the unit is missing, or in brackets.
+
+    Another digit is another sensor, and far away.
+    """
     written = _BRACKETS.fullmatch(text)
     bare = normalised(text if written is None else written[1])
     if bare in {name, stem_and_unit(name)[0]}:
-        return True
-    if re.sub(r"\D", "", bare) != re.sub(r"\D", "", name) or abs(len(bare) - len(name)) > most:
-        return False
-    return _distance(bare, name) <= most
+        return 0
+    has_other_digits = re.sub(r"\D", "", bare) != re.sub(r"\D", "", name)
+    return len(name) if has_other_digits or abs(len(bare) - len(name)) > 3 else _distance(bare, name)
 
 
 def _distance(a: str, b: str) -> int:

@@ -49,13 +49,15 @@ _UNITS = {
     Unit("mdps", "rate", 1e-3): "mdps mdeg/s",
     Unit("rad/s", "rate", _RADIAN): "rad/s rad/sec rad_s^-1 rad·s⁻¹",
     Unit("LSB", "counts"): "lsb count counts",
+    Unit("V", "voltage"): "v volt volts",
+    Unit("%", "share"): "% pct percent",
 }
 _BY_TEXT = {text: unit for unit, texts in _UNITS.items() for text in texts.split()}
 _SUFFIXES = {
-    **{suffix: _BY_TEXT[suffix] for suffix in ("deg", "s", "c", "g", "dps", "mps2", "lsb")},
+    **{suffix: _BY_TEXT[suffix] for suffix in ("deg", "s", "c", "g", "dps", "mps2", "lsb", "v", "pct")},
     "rps": _BY_TEXT["rad/s"],
 }
-"""The contract's, at the ends of names."""
+"""At the ends of names: the contract's, and those of covariates in its documents."""
 
 
 def unit_of_text(text: str) -> Unit | None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
-import re
 
 import numpy as np
 import pytest
@@ -190,3 +188,128 @@ def test_decorated_tables_give_the_arrays_of_the_plain_one(names, read, decorati
         changed = sheet.text() != sheet_of(names, seed).text() and not set(decorations) <= silent
         assert bool(said) == changed, (said, sheet.text())
         assert len(said) <= 4
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "expected"),
+    [
+        (
+            "target_rad,reading [rad]",
+            "0.5,-1",
+            {"target_deg": 28.64788975654116, "reading_deg": -57.29577951308232},
+        ),
+        ("Target (mrad),Reading / °", "500,1", {"target_deg": 28.64788975654116, "reading_deg": 1.0}),
+        ("target_deg,reading_deg,Temperature [°F]", "1,2,212", {"temperature_c": 100.0}),
+        ("target_deg,reading_deg,temperature (K)", "1,2,273.15", {"temperature_c": 0.0}),
+        ("target_deg,reading_deg,accel_z (m/s²)", "1,2,9.80665", {"accel_z_g": 1.0}),
+        ("target_deg,reading_deg,accel_z [mg]", "1,2,-998", {"accel_z_g": -0.998}),
+        ("target_deg,reading_deg,time [ms]", "1,2,1500", {"time_s": 1.5}),
+        ("targetDeg,readingDeg,nSamples [-]", "1,2,7", {"target_deg": 1.0, "n_samples": 7}),
+        (
+            "target_deg,reading_deg,supply_v,azimuth_deg",
+            "1,2,5.1 V,-90°",
+            {"supply_v": 5.1, "azimuth_deg": -90.0},
+        ),
+        ("target_deg,reading_deg,temperature_k", "1,2,300", {"temperature_k": 300.0, "temperature_c": None}),
+        ("# bench\n# target_deg,reading_deg", "1,2", {"target_deg": 1.0, "reading_deg": 2.0}),
+    ],
+)
+def test_a_stated_unit_is_converted_where_that_is_exact(names, row, expected):
+    poses, _, said = read_run(f"{names}\n{row}\n".encode(), "A")
+    assert said
+    for name, value in expected.items():
+        cells = poses.cells(name)
+        assert (None if cells is None else cells[0]) == (
+            None if value is None else pytest.approx(value, abs=1e-12)
+        )
+
+
+@pytest.mark.parametrize(
+    ("text", "places", "says"),
+    [
+        ("Target_deg,target [°],reading_deg\n1,2,3\n", [(1, "target [°]")], ["target_deg", "Target_deg"]),
+        ("target_deg,Target_deg,reading_deg\n1,2,3\n", [(1, "Target_deg")], ["target_deg"]),
+        (
+            "tagret_deg,readin_deg,foo\n1,2,3\n",
+            [(1, "target_deg"), (1, "reading_deg")],
+            ["did you mean target_deg?", "did you mean reading_deg?", "there are: tagret_deg"],
+        ),
+        ("target,reading_deg\n1,2\n", [(1, "target_deg")], ["target: did you mean target_deg"]),
+        ("target_deg [rad],reading_deg\n1,2\n", [(1, "target_deg [rad]")], ["rad", "deg"]),
+        ("target_deg,reading_deg\nrad,deg\n1,2\n", [(1, "target_deg")], ["rad", "deg"]),
+        ("target_deg,reading_deg\nfurlong,deg\n1,2\n", [(1, "target_deg")], ["furlong", "deg"]),
+        (
+            "target [gon],reading_deg\n1,2\n",
+            [(1, "target_deg")],
+            ["target [gon]: did you mean target_deg, in deg"],
+        ),
+        ("target_deg,reading_deg\n1 rad,2\n", [(2, "target_deg")], ["1 rad", "in rad"]),
+        ("target_deg,reading_deg\n1,2\n#N/A,#N/A\n", [(3, "target_deg"), (3, "reading_deg")], ["#N/A"]),
+        (
+            "target_deg,reading_deg,pass\nx,,0.5\n1,2,3,4\n\n1,y,-1\n",
+            [(2, "target_deg"), (2, "reading_deg"), (2, "pass"), (3, None), (5, "reading_deg"), (5, "pass")],
+            ["'x'", "''", "'0.5'", "4 cells", "'y'", "'-1'"],
+        ),
+        (
+            "target_deg;reading_deg\n" + "1,5;2,5\n" * 5 + "2.5;2,5\n1,1;1,1\n",
+            [(7, "target_deg")],
+            ["'2.5'", "with a comma"],
+        ),
+        (
+            "target_deg,reading_deg,time_s\n1,2,2024-01-01T12:00:00Z\n2,3,5\n3,3,2024-01-01T12:00:01\n",
+            [(3, "time_s"), (4, "time_s")],
+            ["'5'", "first row"],
+        ),
+        ("# 1\n# 2\n", [(None, None)], ["no rows"]),
+    ],
+)
+def test_what_has_no_one_reading_is_refused_with_every_place(text, places, says):
+    with pytest.raises(CsvError) as bad:
+        read_run(text.encode(), "A")
+    said = str(bad.value)
+    assert (bad.value.line, bad.value.column) == places[0]
+    for line, column in places:
+        assert f"line {line}" in said or line is None
+        assert f"column {column}" in said or column is None
+    assert all(words in said for words in says), said
+    assert said.count("; line ") == len(places) - 1
+
+
+def test_of_very_many_faults_the_first_are_told_and_the_others_counted():
+    rows = "".join(f"{k},{'x' if k % 2 else k}\n" for k in range(90_000))
+    with pytest.raises(CsvError) as bad:
+        read_run(f"target_deg,reading_deg\n{rows}".encode(), "A")
+    said = str(bad.value)
+    assert said.startswith("line 3, column reading_deg: 'x'")
+    assert "line 21, " in said
+    assert "line 23, " not in said
+    assert said.endswith("and 44990 more")
+
+
+def test_a_column_that_is_nearly_a_known_one_stays_a_covariate_with_a_warning():
+    header = "target_deg,reading_deg,temprature_c,heading_deg,temperature2_c,accel_std_g"
+    poses, _, said = read_run(f"{header}\n1,2,20,4,21,0.1\n".encode(), "A")
+    assert poses.cells("temprature_c") == [20.0]
+    assert poses.cells("temperature_c") is None
+    (warning,) = said
+    assert "temprature_c (did you mean temperature_c?)" in warning
+    assert not any(name in warning for name in ("heading_deg", "temperature2_c", "accel_std_g"))
+
+
+@pytest.mark.parametrize(
+    ("text", "n_poses"),
+    [
+        ("label,target_deg,reading_deg\n#1,1,2\n#2,2,3\n", 2),
+        ("target_deg,reading_deg\n1,2\n#2,3\n4,5\n", 2),
+        ('note,target_deg,reading_deg\n"a\n# b",1,2\n# c\n,2,3\n', 2),
+        ('target_deg,reading_deg\n# 5" rod\n1,2\n', 1),
+    ],
+    ids=["a label is no comment", "a row that was taken out", "in a quoted cell", "a quote in a comment"],
+)
+def test_only_comments_are_left_out(text, n_poses):
+    assert len(read_run(text.encode(), "A")[0]) == n_poses
+
+
+def test_a_log_names_the_nearest_channel_where_it_has_none():
+    with pytest.raises(CsvError, match=r"acel_y_g \(did you mean accel_y_g\?\)"):
+        read_static(b"acel_x_g,acel_y_g\n1,2\n")
