@@ -1,187 +1,208 @@
-"""Static poses in a log of samples: the stretches in which nothing but the sensor's own noise moves."""
+"""Static poses in a log of samples, or in a table of positions, whether or not the rate is known.
+
+If the rate is known, segments at rest are looked for over a second. Else the window is the one whose poses
+agree best with |a| = 1 g: the smallest mean standard error of bias, scale and misalignment. It grows with
+motion taken for rest (window too short) and with poses that are missed (window too long).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from calrig.calibration.gravity_fit import (
+    FEWEST_POSES,
+    MISALIGNMENT,
+    Problem,
+    consistent_poses,
+    fit_gravity,
+    largest_model,
+    robust_scale_g,
+    undetermined_base,
+)
+from calrig.calibration.static_segments import (
+    BoolArray,
+    GravityError,
+    Span,
+    StaticPoses,
+    poses_of,
+    position_spans,
+    quiet_spans,
+)
 from calrig.estimation.angles import FloatArray
 
-BoolArray = npt.NDArray[np.bool_]
+__all__ = ["BoolArray", "GravityError", "StaticPoses", "outlier_limit", "static_poses"]
 
 WINDOW_S = 1.0
 SHORTEST_S = 1.5
 EDGE_S = 0.25
-"""Taken off both ends of a pose: a window notices motion only when enough of it has come in."""
-RATE_WITHOUT_TIME_HZ = 100.0
 FEWEST_IN_WINDOW = 8
-QUIET_QUANTILE = 0.1
-"""At least this share of a log's windows is taken to be static, and gives the noise."""
-ABOVE_NOISE = 2.0
-COARSEST_STEP_G = 0.01
-"""Two decimals; of a log without any noise, what lies between its values is no step of the sensor's."""
-TURNING_DPS = 1.0
-"""A turn as slow and even as this shows in the gyro's mean and hardly in the accelerometer's spread."""
-NOISIEST_G = 0.05
-"""A sensor noisier than this at rest is not known; what is noisier moves."""
-SAME_POSE_DEG = 2.0
-
-
-class GravityError(ValueError):
-    """The log cannot be calibrated against gravity; the message says what it lacks and what to do."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StaticPoses:
-    """n static poses of a log.
-
-    Attributes:
-        accel_g: (n, 3) mean measured acceleration.
-        temperature_c: (n,) mean; None where the log has none for every pose.
-        time_s: (n,) middle of the pose; None without time.
-        spans: (n, 2) first sample and the one after the last, in the log.
-    """
-
-    accel_g: FloatArray
-    temperature_c: FloatArray | None
-    time_s: FloatArray | None
-    spans: npt.NDArray[np.intp]
-
-    def __len__(self) -> int:
-        return len(self.accel_g)
-
-    def rows(self, chosen: BoolArray) -> StaticPoses:
-        """Some of the poses."""
-        return StaticPoses(
-            self.accel_g[chosen],
-            None if self.temperature_c is None else self.temperature_c[chosen],
-            None if self.time_s is None else self.time_s[chosen],
-            self.spans[chosen],
-        )
+NARROWEST = 4
+"""Samples of the first window that is tried where no rate is known."""
+WIDER = 1.5
+AS_GOOD = 0.15
+"""Windows whose mean standard error is within this share of the best one's agree equally well."""
+MOST_POSITIONS = 5000
+"""A longer table is a log."""
+APART = 2.0
+"""In robust residuals: nine of ten rows of a table of positions are further from the next; at rest, 1.1."""
+OUTLYING_SHARE = 0.1
 
 
 def static_poses(
     accel_g: FloatArray,
     *,
     time_s: FloatArray | None = None,
+    rate_hz: float | None = None,
     gyro_dps: FloatArray | None = None,
     temperature_c: FloatArray | None = None,
 ) -> StaticPoses:
-    """Find the static poses by the spread within a sliding window, against the log's own quiet windows.
-
-    The static detector of Tedaldi, Pretto & Menegatti (ICRA 2014, section V), with the noise taken from the
-    quietest tenth of the log instead of a static period that somebody has to begin with. Neighbouring
-    stretches less than 2° apart are one pose that was knocked.
+    """Return the static poses of a log, or the positions of a table that has one or some rows of each.
 
     Args:
-        accel_g: (N, 3) finite samples.
-        time_s: (N,) increasing; without it the samples are taken to come at 100 Hz.
-        gyro_dps: (N, 3): where it is known, it must not turn either.
+        accel_g: (N, 3) finite samples, N ≥ 1.
+        time_s: (N,) not decreasing; None where not known.
+        rate_hz: of the samples, instead of the one that `time_s` shows.
+        gyro_dps: (N, 3): if it is known, it must not rotate either.
         temperature_c: (N,), NaN where not known.
 
     Raises:
         GravityError: the log is too short for a window, or is never static.
     """
-    rate_hz = _rate_hz(time_s)
+    rows = len(accel_g)
+
+    def means(spans: list[Span], finding: str, time_s: FloatArray | None = time_s) -> StaticPoses:
+        return poses_of(spans, accel_g, time_s=time_s, temperature_c=temperature_c, finding=finding)
+
+    if has_one_row_a_pose(accel_g):
+        finding = "consecutive rows differ by far more than noise: taken as one row a position"
+        return means([(k, k + 1) for k in range(rows)], finding)
+    at_rate_s = time_s
+    if rate_hz is not None:
+        at_rate_s = np.arange(rows) / rate_hz
+    elif time_s is not None:
+        rate_hz = _rate_hz(time_s)
+    stated: list[StaticPoses] = []
+    reason = _never_static(rows)
+    if rate_hz is not None:
+        try:
+            stated = [means(_spans_at_rate(accel_g, rate_hz, gyro_dps), "", at_rate_s)]
+        except GravityError as error:
+            reason = error
+    stated += [means(spans, _rows_each(spans)) for spans in [position_spans(accel_g)] if spans]
+    tried: list[StaticPoses] = []
+    if rate_hz is None or max(map(len, stated), default=0) < FEWEST_POSES:
+        tried = [means(*one) for one in _spans_without_rate(accel_g, gyro_dps)]
+    found = _best(stated, tried)
+    if found is None:
+        raise reason
+    return found
+
+
+def has_one_row_a_pose(accel_g: FloatArray) -> bool:
+    """Return whether consecutive rows differ by far more than what no attitude explains of a row."""
+    rows = len(accel_g)
+    if not FEWEST_POSES <= rows <= MOST_POSITIONS:
+        return False
+    poses = poses_of([(k, k + 1) for k in range(rows)], accel_g)
+    if undetermined_base(poses):
+        return False
+    problem = Problem.of(poses)
+    try:
+        _, scale_g = robust_scale_g(problem, largest_model(problem))
+    except GravityError:
+        return False
+    steps_g = np.linalg.norm(np.diff(accel_g, axis=0), axis=1)
+    return bool(np.quantile(steps_g, 0.1) > APART * scale_g)
+
+
+def outlier_limit(n_poses: int) -> int:
+    """Return how many of n poses may disagree with the others before all are in doubt."""
+    return int(OUTLYING_SHARE * n_poses)
+
+
+def _spans_at_rate(accel_g: FloatArray, rate_hz: float, gyro_dps: FloatArray | None) -> list[Span]:
     width = max(FEWEST_IN_WINDOW, round(WINDOW_S * rate_hz))
     if len(accel_g) < 2 * width:
         raise GravityError(
             f"{len(accel_g)} samples are too few to find static poses in: gravity needs the log of samples, "
-            f"at least {2 * width} of them (several seconds in every pose)"
+            f"at least {2 * width} of them (several seconds in every pose), or one row for each position"
         )
-    spread = window_spread(accel_g, width)
-    noise = float(np.quantile(spread, QUIET_QUANTILE))
-    if noise > NOISIEST_G:
-        raise GravityError(
-            f"the log is never static: over {WINDOW_S:g} s the accelerometer changes by {noise * 1e3:.0f} mg "
-            "even where it is quietest; lay the sensor down for a few seconds in every pose"
-        )
-    quiet = spread <= ABOVE_NOISE * noise + min(_step_of(accel_g), COARSEST_STEP_G)
-    if gyro_dps is not None and np.isfinite(gyro_dps).all():
-        quiet &= _unturned(gyro_dps, width, quiet)
     shortest, edge = max(width, round(SHORTEST_S * rate_hz)), round(EDGE_S * rate_hz)
-    spans = _merged(accel_g, _stretches(quiet, width, edge, shortest))
-    return StaticPoses(
-        np.array([accel_g[a:b].mean(axis=0) for a, b in spans]).reshape(-1, 3),
-        _means(temperature_c, spans),
-        _means(time_s, spans),
-        np.array(spans, dtype=np.intp).reshape(-1, 2),
-    )
+    return quiet_spans(accel_g, gyro_dps, width=width, shortest=shortest, edge=edge)
 
 
-def window_spread(values: FloatArray, width: int) -> FloatArray:
-    """Return (N − width + 1,) root of the summed variances of the (N, 3) values within each window."""
-    centred = values - values.mean(axis=0)  # sums of squares below lose no digits to a common level
-    variance = _window_mean(centred**2, width) - _window_mean(centred, width) ** 2
-    return np.asarray(np.sqrt(np.maximum(variance.sum(axis=1), 0.0)), dtype=np.float64)
+def _rows_each(spans: list[Span]) -> str:
+    lengths = sorted({b - a for a, b in spans})
+    rows = f"{lengths[0]} to {lengths[-1]}" if len(lengths) > 1 else f"{lengths[0]}"
+    return f"no motion between the positions: taken as {len(spans)} positions of {rows} rows each"
 
 
-def _window_mean(values: FloatArray, width: int) -> FloatArray:
-    sums = np.cumsum(np.vstack([np.zeros(values.shape[1]), values]), axis=0)
-    return np.asarray((sums[width:] - sums[:-width]) / width, dtype=np.float64)
+def _spans_without_rate(accel_g: FloatArray, gyro_dps: FloatArray | None) -> Iterator[tuple[list[Span], str]]:
+    width = NARROWEST
+    while FEWEST_POSES * SHORTEST_S * width <= len(accel_g):
+        shortest, edge = round(SHORTEST_S * width), round(EDGE_S * width)
+        try:
+            spans = quiet_spans(accel_g, gyro_dps, width=width, shortest=shortest, edge=edge)
+        except GravityError:
+            return  # a wider window is no quieter
+        yield spans, f"the rate is not known: static segments found over {width} samples"
+        width = round(WIDER * width)
 
 
-def _unturned(gyro_dps: FloatArray, width: int, quiet: BoolArray) -> BoolArray:
-    """Windows in which the gyro, less its bias, does not turn; the bias is what most quiet windows have."""
-    rate = _window_mean(gyro_dps, width)
-    if quiet.any():
-        rate = rate - np.median(rate[quiet], axis=0)
-    return np.asarray(np.linalg.norm(rate, axis=1) <= TURNING_DPS, dtype=np.bool_)
+def _best(stated: list[StaticPoses], tried: list[StaticPoses]) -> StaticPoses | None:
+    """Return the poses that determine the sensor best.
+
+    The first of `stated`, from the rate or from the table's own order, wins if it is nearly as good as the
+    best. Of windows as good, those with the fewest poses that disagree win, of these the most poses, of these
+    the middle window.
+    """
+    known = [(judged, poses) for poses in (*stated, *tried) if (judged := _judged(poses)) is not None]
+    if not known:
+        found = max((*stated, *tried), key=len, default=None)
+        return found if found is not None and len(found) else None
+    limit = (1.0 + AS_GOOD) * min(std for (std, _), _ in known)
+    good = [(-outliers, len(poses), poses) for (std, outliers), poses in known if std <= limit]
+    if any(good[0][-1] is poses for poses in stated):
+        return good[0][-1]
+    most = max((agreeing, count) for agreeing, count, _ in good)
+    best = [poses for agreeing, count, poses in good if (agreeing, count) == most]
+    return best[len(best) // 2]
 
 
-def _rate_hz(time_s: FloatArray | None) -> float:
-    if time_s is None or len(time_s) < 2:
-        return RATE_WITHOUT_TIME_HZ
+def _judged(poses: StaticPoses) -> tuple[float, int] | None:
+    """Return the geometric mean of the parameters' standard errors, and how many poses disagree.
+
+    None where the poses do not determine the parameters, or too many of them disagree.
+    """
+    if len(poses) < FEWEST_POSES or undetermined_base(poses):
+        return None
+    problem = Problem.of(poses)
+    try:
+        kept, _ = consistent_poses(problem)
+        effects = [effect for effect in largest_model(problem) if effect.name == MISALIGNMENT]
+        fitted = fit_gravity(problem.rows(kept), effects)
+    except GravityError:
+        return None
+    outliers = int((~kept).sum())
+    sign, log_volume = np.linalg.slogdet(fitted.covariance)
+    if outliers > outlier_limit(len(poses)) or sign <= 0.0:
+        return None
+    return float(np.exp(0.5 * log_volume / len(fitted.beta))), outliers
+
+
+def _rate_hz(time_s: FloatArray) -> float | None:
+    if len(time_s) < 2:
+        return None
     step = float(np.median(np.diff(time_s)))
     if step <= 0.0:
         raise GravityError("the times of the samples do not increase: correct time_s, or leave it out")
     return 1.0 / step
 
 
-def _step_of(accel_g: FloatArray) -> float:
-    """The sensor's own step: a sensor at rest may toggle between two counts, or show no noise at all."""
-    steps = [np.diff(np.unique(column)) for column in accel_g.T]
-    return min((float(step.min()) for step in steps if len(step)), default=0.0)
-
-
-def _stretches(quiet: BoolArray, width: int, edge: int, shortest: int) -> list[tuple[int, int]]:
-    """Stretches of samples under quiet windows, less their edges, if long enough.
-
-    Windows that share a sample are of one stretch; two poses a jump apart share none.
-    """
-    change = np.diff(np.concatenate([[0], quiet.astype(np.intp), [0]]))
-    whole: list[tuple[int, int]] = []
-    for first, last in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1) - 1, strict=True):
-        begin, end = int(first), int(last) + width
-        if whole and begin < whole[-1][1]:
-            begin = whole.pop()[0]
-        whole.append((begin, end))
-    return [(a + edge, b - edge) for a, b in whole if b - a - 2 * edge >= shortest]
-
-
-def _merged(accel_g: FloatArray, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the longer of two neighbours that point the same way: a knock makes no second pose."""
-    kept: list[tuple[int, int]] = []
-    for span in stretches:
-        if kept and _apart_deg(accel_g, kept[-1], span) < SAME_POSE_DEG:
-            kept[-1] = max(kept[-1], span, key=lambda s: s[1] - s[0])
-        else:
-            kept.append(span)
-    return kept
-
-
-def _apart_deg(accel_g: FloatArray, one: tuple[int, int], other: tuple[int, int]) -> float:
-    a, b = (accel_g[first:last].mean(axis=0) for first, last in (one, other))
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
-
-
-def _means(values: FloatArray | None, spans: list[tuple[int, int]]) -> FloatArray | None:
-    """Return (n,) mean of the known values in each span; None unless every span has some."""
-    if values is None:
-        return None
-    known = [values[a:b][np.isfinite(values[a:b])] for a, b in spans]
-    if not all(len(part) for part in known):
-        return None
-    return np.array([part.mean() for part in known], dtype=np.float64)
+def _never_static(rows: int) -> GravityError:
+    return GravityError(
+        f"never static: {rows} rows are neither a log with poses at rest nor a table of positions; lay the "
+        "sensor down for a few seconds in every pose, or write down one row for each position"
+    )

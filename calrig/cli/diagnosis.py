@@ -10,7 +10,7 @@ import typer
 
 from calrig.cli import options
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
-from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Server, whole_id
+from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Rate, Server, whole_id
 from calrig.cli.running_service import running_service, whole_id_there
 from calrig.errors import InputError
 
@@ -52,14 +52,19 @@ def diagnose(
 
 def gravity(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE.csv", help=f"A log with many static poses. {COLUMNS}")
+        Path,
+        typer.Argument(
+            metavar="FILE.csv",
+            help=f"A log with many static poses, or a table of one or some rows a position. {COLUMNS}",
+        ),
     ],
+    rate: Rate = None,
     as_json: Json = False,
     accel_range: AccelRange = None,
 ) -> None:
     """Calibrate the accelerometer against |a| = 1 g, without a stage, and trace the residual."""
     from calrig.calibration.separation import calibrate_by_gravity, gravity_document
-    from calrig.calibration.static_detector import GravityError
+    from calrig.calibration.static_segments import GravityError
     from calrig.cli import output
     from calrig.export.csv_errors import CsvError
     from calrig.export.static_csv import accel_g_of
@@ -69,12 +74,13 @@ def gravity(
         found = calibrate_by_gravity(
             accel_g_of(log),
             time_s=log.forward_time_s,
+            rate_hz=rate,
             gyro_dps=log.axes("gyro", "dps"),
             temperature_c=log.channels.get("temperature_c"),
         )
     except (CsvError, GravityError) as error:
         raise InputError(f"{file}: {error}") from error
-    document = gravity_document(found)
+    document = gravity_document(found, log.line_of)
     of_time = [f"time_s {log.time_flaw}; not used"] if log.time_flaw else []
     document["warnings"] = [*of_time, *log.warnings, *document["warnings"]]
     if as_json:

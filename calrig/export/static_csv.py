@@ -203,12 +203,14 @@ class StaticLog:
         time_s: (N,) as logged: a clock may wrap in it, and NaN is where it is not known; None without any.
         time_flaw: why that cannot be taken for the time that passed, and in which line; empty if it can.
         warnings: what a person should know about how it was read.
+        line_of: line of a sample in the file.
     """
 
     channels: dict[str, FloatArray]
     time_s: FloatArray | None
     time_flaw: str
     warnings: tuple[str, ...]
+    line_of: Callable[[int], int]
 
     def __len__(self) -> int:
         return len(next(iter(self.channels.values())))
@@ -264,7 +266,7 @@ def read_static(
         )
     ordered = {name: channels[name] for name in sorted(channels, key=_order)}
     flaw = "" if time_s is None else _flaw_of(time_s, table)
-    return StaticLog(ordered, time_s, flaw, tuple(warnings))
+    return StaticLog(ordered, time_s, flaw, tuple(warnings), table.line_of)
 
 
 def _refuse_no_range(ranges: Mapping[str, float | None]) -> None:
