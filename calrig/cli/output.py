@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from textwrap import fill
@@ -292,18 +293,55 @@ def print_fleet(found: dict[str, Any]) -> None:
 
 
 def print_gravity(found: dict[str, Any]) -> None:
-    """Prints a calibration against gravity: what was found, and |a| less 1 g before and after."""
+    """Print a calibration against gravity: parameters with standard errors, |a| − 1 g before and after."""
+    base, final, n = found["base"], found["final"], found["n_poses"]
     names = [effect["name"] for effect in found["effects"]]
     print_line(f"{found['verdict']}: {', '.join(['bias', 'scale', *names])}", style="bold")
+    axes = zip("xyz", *(final[key] for key in ("bias_g", "bias_std_g", "scale", "scale_std")), strict=True)
+    rows = [
+        (axis, *_with_error(1e3 * bias, 1e3 * bias_std), *_with_error(gain, gain_std))
+        for axis, bias, bias_std, gain, gain_std in axes
+    ]
+    print_table(
+        ("axis", "bias, mg", "±", "gain", "±"), rows, caption="gain = reading by acceleration, along the axis"
+    )
+    angles = [
+        (name.removesuffix("_mrad"), *_with_error(value, std), *_with_error(*_in_deg(value, std)))
+        for effect in found["effects"]
+        for name, value, std in ((name, *one.values()) for name, one in effect["parameters"].items())
+        if name.endswith("_mrad")
+    ]
+    if angles:
+        print_table(("misalignment", "mrad", "±", "°", "±"), angles)
     for effect in found["effects"]:
         for name, parameter in effect["parameters"].items():
-            print_parameter(name, parameter)
-    rows = (
-        (name, number(found["base"][key], " mg", 2), number(found["final"][key], " mg", 2))
-        for name, key in (("fit", "fit_rms_mg"), ("held-out poses", "held_out_rms_mg"))
+            if not name.endswith("_mrad"):
+                print_parameter(f"{effect['title']}: {name}", parameter)
+        if effect["confusable_with"]:
+            print_line(
+                f"  {effect['name']} is not distinguishable from {', '.join(effect['confusable_with'])}"
+            )
+    errors = (
+        (name, number(base[key], " mg", 2), number(final[key], " mg", 2))
+        for name, key in (
+            ("fit", "fit_rms_mg"),
+            (f"held out ({found['held_out']['how']})", "held_out_rms_mg"),
+        )
     )
-    print_table((f"RMS of |a| − 1 g, {found['n_poses']} poses", "before", "after"), rows)
+    print_table(
+        (f"RMS of |a| − 1 g, {n} poses", "before", "after"), errors, caption="before: bias and gain alone"
+    )
     print_warnings(found["warnings"])
+
+
+def _with_error(value: float, std: float) -> tuple[str, str]:
+    """Return a value and its standard error as text, to two digits of the error."""
+    decimals = min(max(1 - math.floor(math.log10(std)), 0), 12) if std > 0.0 else 6
+    return f"{value:z.{decimals}f}", f"{std:.{decimals}f}"
+
+
+def _in_deg(mrad: float, std_mrad: float) -> tuple[float, float]:
+    return math.degrees(mrad / 1e3), math.degrees(std_mrad / 1e3)
 
 
 def print_noise(found: NoiseReport) -> None:

@@ -62,7 +62,13 @@ def test_gravity_finds_that_the_axes_are_not_square(folder):
     found = json.loads(calrig("gravity", "log.csv", "--json").stdout)
     assert [effect["name"] for effect in found["effects"]] == ["misalignment"]
     shown = calrig("gravity", "log.csv").stdout
-    assert shown.startswith("named: bias, scale, misalignment\n  xy_mrad = ")
+    assert shown.startswith("named: bias, scale, misalignment\n")
+    xy_mrad = found["effects"][0]["parameters"]["xy_mrad"]
+    bias_mg, std_mg = (1e3 * found["final"][key][2] for key in ("bias_g", "bias_std_g"))
+    for heading, value, std in (("z", bias_mg, std_mg), ("xy", xy_mrad["value"], xy_mrad["std"])):
+        cells = next(line for line in shown.splitlines() if re.match(rf"│ {heading} ", line)).split("│")
+        assert float(cells[2]) == pytest.approx(value, abs=0.1 * std)
+        assert float(cells[3]) == pytest.approx(std, rel=0.1)
     assert f"{found['final']['held_out_rms_mg']:.2f} mg" in shown
 
 
