@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,6 +13,9 @@ from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Server, whole_id
 from calrig.cli.running_service import running_service, whole_id_there
 from calrig.errors import InputError
+
+if TYPE_CHECKING:
+    from calrig.calibration.regression import AssumedReference, DiagnosisRequest
 
 
 def diagnose(
@@ -25,6 +28,17 @@ def diagnose(
         ),
     ],
     as_json: Json = False,
+    period: Annotated[
+        list[float] | None,
+        typer.Option(metavar="DEG", help="A known period of the axis, such as a worm's; may be repeated."),
+    ] = None,
+    reference: Annotated[
+        Literal["good", "stage"] | None,
+        typer.Option(
+            help="Whose error it is. good: the reference does not err, so curves of the angle are the "
+            "sensor's. stage: they may be the stage's. Default: as the rig says, else stage.",
+        ),
+    ] = None,
     db: Db = None,
     server: Server = None,
 ) -> None:
@@ -33,6 +47,7 @@ def diagnose(
     Runs are diagnosed by the service that holds their store, where one does: it keeps the diagnosis.
     """
     from calrig.calibration.poses import DiagnosisError
+    from calrig.calibration.regression import DiagnosisRequest
     from calrig.cli import output
     from calrig.client.documents import typed
     from calrig.model.diagnosis import Diagnosis
@@ -41,7 +56,12 @@ def diagnose(
     if files and len(files) < len(sources):
         raise InputError("diagnose: name files or run ids, not both")
     try:
-        found: object = _of_files(files) if files else _of_runs(sources, db, server)
+        request = DiagnosisRequest(reference or "stage", tuple(period or ()))
+        found: object = (
+            _of_files(files, request)
+            if files
+            else _of_runs(sources, reference, request.periods_deg, db, server)
+        )
     except DiagnosisError as error:
         raise InputError(f"{', '.join(sources)}: {error}") from error
     if as_json:
@@ -83,33 +103,43 @@ def gravity(
         output.print_gravity(document)
 
 
-def _of_files(files: Sequence[str]) -> dict[str, Any]:
+def _of_files(files: Sequence[str], request: DiagnosisRequest) -> dict[str, Any]:
     from calrig.calibration.diagnosis import trace
     from calrig.cli.progress import late_bar
 
     read = [read_poses_file(Path(file)) for file in files]
     with late_bar("diagnosing") as show:
-        found = trace([poses for poses, _ in read], files, progress=show)
+        found = trace([poses for poses, _ in read], files, request=request, progress=show)
     found["warnings"] = [warning for _, warnings in read for warning in warnings] + found["warnings"]
     return found
 
 
-def _of_runs(run_ids: Sequence[str], db: str | None, server: str | None) -> object:
+def _of_runs(
+    run_ids: Sequence[str],
+    reference: AssumedReference | None,
+    periods_deg: Sequence[float],
+    db: str | None,
+    server: str | None,
+) -> object:
     from calrig.cli.progress import late_bar
 
     there = running_service(server, db)
     if there is not None:
         *more, last = (whole_id_there(there, typed) for typed in run_ids)
         with late_bar("diagnosing") as show:
-            there.diagnose(last, *more, told=show)
+            there.diagnose(last, *more, reference=reference, periods_deg=periods_deg, told=show)
         return there.get(f"/api/runs/{last}/diagnosis")
 
     from calrig.analysis.diagnoses import Diagnoses
-    from calrig.settings import store_url
+    from calrig.analysis.stored_runs import request_of, stored_run
+    from calrig.settings import load_settings, store_url
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
         *more, last = (whole_id(store, typed) for typed in run_ids)
-        asked = Diagnoses(store).question(last, more)
+        run = stored_run(store, last)
+        rig = next((rig for rig in load_settings().rig if rig.name == run.rig), None)
+        request = request_of(run, rig, reference, periods_deg)
+        asked = Diagnoses(store).question(last, more, request)
     with late_bar("diagnosing") as show:
         return asked(progress=show)

@@ -128,6 +128,8 @@ class Diagnosis(Model):
     """CONTRACT section 5, with `grade` and, in `says`, its interpretation for people, the answer first."""
 
     runs: list[str]
+    reference: Literal["stage", "good"] = "stage"  # in diagnoses stored before it could be asked for
+    known_periods_deg: list[float] = Field(default=[])
     n_poses: int
     held_out: HeldOut
     noise: ReadingNoise

@@ -118,6 +118,10 @@ class Candidate:
         """Between which runs, where it is only in the later ones."""
         return self.shape.changed
 
+    def is_of_sensor(self, r: Responses) -> bool:
+        """Return whether it is the sensor's only because the reference of these poses is good."""
+        return self.effect.is_of_sensor(self.covariate, reference_is_good=r.reference_is_good)
+
     def is_distinct(self, r: Responses, other: Candidate) -> bool:
         """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
         distinct, one, another = self.effect.distinct, self.changed, other.changed

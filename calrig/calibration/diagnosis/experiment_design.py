@@ -152,9 +152,10 @@ class _Trial:
         suspects: Sequence[Candidate],
     ) -> None:
         self._runs = [list(run) for run in runs]
+        self._request = findings.responses.request
         self._noise: NoiseModel = findings.fitted.noise
         self._others, self._suspects = others, suspects
-        r = with_free_levels(responses_of(self._runs))
+        r = with_free_levels(responses_of(self._runs, request=self._request))
         self._sizes = [self._size(r, suspect) for suspect in suspects]
         self.pairs = list(combinations(range(len(suspects)), 2))
         last = self._runs[-1][-1]
@@ -191,7 +192,9 @@ class _Trial:
 
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
         """Of each pair, with the one true that is the harder to tell."""
-        r = with_free_levels(responses_of([*self._runs, self._imagined(elevations_deg, wait_s)]))
+        r = with_free_levels(
+            responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)
+        )
         others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
         suspects = [predicted(s, r) for s in self._suspects]
         found: dict[tuple[int, int], float] = {}
@@ -303,6 +306,7 @@ class SequentialTest:
 
     def __init__(self, runs: Sequence[Sequence[Pose]], findings: Findings) -> None:
         self._runs = [list(run) for run in runs]
+        self._request = findings.responses.request
         found = ambiguous_of(findings)
         self._suspects = () if found is None else (found.candidate, *found.rivals)
         self._others = [f.candidate for f in findings.found if f is not found]
@@ -311,7 +315,7 @@ class SequentialTest:
         """Whether one suspect leads all others by more than the test's bound, with the new poses taken in."""
         if len(poses) < FEWEST_POSES or len(self._suspects) < 2:
             return False
-        r = with_free_levels(responses_of([*self._runs, list(poses)]))
+        r = with_free_levels(responses_of([*self._runs, list(poses)], request=self._request))
         others = [again for other in self._others if (again := predicted(other, r)) is not None]
         criteria = sorted(
             fit(r, model_columns(r, [*others, suspect])).criterion

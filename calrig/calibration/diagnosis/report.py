@@ -28,6 +28,7 @@ from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import CHANNELS
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
+from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
 from calrig.calibration.regression.run_changes import in_words
 from calrig.calibration.results.correction import numbers_of
@@ -102,17 +103,18 @@ def _document(
 ) -> dict[str, Any]:
     effect = candidate.effect
     beta, covariance = fitted.beta[at], fitted.covariance[at, at]
+    of_sensor = effect.as_sensor if candidate.is_of_sensor(r) else None
     return {
         "name": candidate.name,
         "verdict": found.verdict,
-        "origin": effect.origin,
+        "origin": "sensor" if of_sensor is not None else effect.origin,
         "covariate": candidate.covariate,
         "parameters": effect.documented(candidate.shape, beta, covariance),
         "p_value": found.p_value,
         "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": _evidence(r, found, candidate),
-        "remedy": effect.remedy,
+        "remedy": (of_sensor or effect).remedy,
         "considered": [
             {"name": label, "behind": behind, "why": _why(found, label, behind)}
             for label, behind in found.considered
@@ -191,7 +193,10 @@ class PartialResidual:
 
 
 def partial_residuals(
-    runs: Sequence[Sequence[Pose]], effects: Sequence[Document], run_ids: Sequence[str] | None = None
+    runs: Sequence[Sequence[Pose]],
+    effects: Sequence[Document],
+    run_ids: Sequence[str] | None = None,
+    request: DiagnosisRequest = AS_USUAL,
 ) -> list[PartialResidual]:
     """Return the partial residual of each effect of a diagnosis, from one fit of all of them together.
 
@@ -199,11 +204,12 @@ def partial_residuals(
         runs: the poses that were diagnosed, as `diagnose` took them.
         effects: the `effects` of the document; what was scanned for is taken from it, not searched again.
         run_ids: of the runs, as the document has them where something changed between two.
+        request: of the diagnosis.
 
     Raises:
         DiagnosisError: the poses cannot show an effect (any more).
     """
-    r = responses_of(runs, run_ids)
+    r = responses_of(runs, run_ids, request)
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     for _ in range(most_outliers(len(r))):
         model = fitted_model(r, chosen)

@@ -31,6 +31,7 @@ from calrig.calibration.line import fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE, SCALE_UNIT_DEG
+from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Responses, names_of, responses_of
 from calrig.estimation.angles import FloatArray
 
@@ -65,6 +66,7 @@ def diagnose(
     runs: Sequence[Sequence[Pose]],
     run_ids: Sequence[str] | None = None,
     *,
+    request: DiagnosisRequest = AS_USUAL,
     seed: int = 0,
     bootstraps: int = BOOTSTRAPS,
     cross_fit: bool = True,
@@ -75,6 +77,7 @@ def diagnose(
     Args:
         runs: the poses of one or several runs of a unit, in the order measured, none excluded.
         run_ids: what the runs are called, for what changed between two of them; else counted from 0.
+        request: whether the reference may err, and known periods.
         seed: of the bootstrap: the same poses and seed give the same diagnosis.
         bootstraps: of each step of the search.
         cross_fit: whether the errors before and after are measured on held-out poses.
@@ -84,7 +87,7 @@ def diagnose(
         DiagnosisError: the poses cannot be diagnosed; the message says why.
     """
     whole, incomplete = complete(runs)
-    r = responses_of(whole, names_of(runs, whole, run_ids))
+    r = responses_of(whole, names_of(runs, whole, run_ids), request)
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = search(r, candidates, rng, bootstraps=bootstraps)
@@ -171,6 +174,8 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     blocked_deg = (rms(worst.base_deg), rms(worst.final_deg)) if (worst := worse(blocks)) else (None, None)
     return {
         "runs": list(run_ids),
+        "reference": r.request.reference,
+        "known_periods_deg": list(r.known_periods_deg),
         "n_poses": len(r),
         "held_out": {
             "how": "not measured" if held_out is None else _how(held_out, blocks),
@@ -238,6 +243,7 @@ def trace(
     runs: Sequence[Sequence[Pose]],
     run_ids: Sequence[str],
     *,
+    request: DiagnosisRequest = AS_USUAL,
     plan: dict[str, Any] | None = None,
     limits_deg: tuple[float, float] | None = None,
     deciding: Sequence[int] | None = None,
@@ -250,6 +256,7 @@ def trace(
     Args:
         runs: the poses of one or several runs of a unit.
         run_ids: their ids, in the same order.
+        request: whether the reference may err, and known periods.
         plan: of the latest run, for the follow-up to keep its settings.
         limits_deg: soft limits of the rig; the range of the poses where there is none.
         deciding: of the latest run, the poses that serve to decide; the others confirm.
@@ -261,7 +268,7 @@ def trace(
     used = [list(run) for run in runs]
     if deciding is not None:
         used[-1] = [used[-1][k] for k in deciding]
-    diagnosis = diagnose(used, run_ids, progress=progress)
+    diagnosis = diagnose(used, run_ids, request=request, progress=progress)
     found = document(diagnosis, run_ids)
     if deciding is not None:
         confirmation = confirm(runs[:-1], runs[-1], deciding, diagnosis.findings)

@@ -12,6 +12,7 @@ from calrig.calibration.results.correction import (
     effects_on_reading_deg,
     felt_elevation_deg,
     numbers_of,
+    own_effect,
     spans_more_than_a_turn,
 )
 from calrig.calibration.results.pose_errors import (
@@ -38,6 +39,7 @@ __all__ = [
     "effects_on_reading_deg",
     "felt_elevation_deg",
     "numbers_of",
+    "own_effect",
     "raw_error_deg",
     "residuals",
     "spans_more_than_a_turn",

@@ -17,7 +17,13 @@ from calrig.calibration.effects import effect_of
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ORIGINS, ApplyError
-from calrig.calibration.results import AppliedEffect, corrected_residuals_deg, numbers_of, raw_error_deg
+from calrig.calibration.results import (
+    AppliedEffect,
+    corrected_residuals_deg,
+    numbers_of,
+    own_effect,
+    raw_error_deg,
+)
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_document import line_of
 from calrig.export.certificate.content import (
@@ -148,7 +154,7 @@ def _effect_found(
 
 
 def _own(document: Document) -> list[AppliedEffect]:
-    return [(effect["name"], numbers_of(effect["parameters"])) for effect in document["effects"]]
+    return [own_effect(effect["name"], effect["parameters"]) for effect in document["effects"]]
 
 
 def _of_stage(effects: Sequence[AcceptedEffect]) -> list[AppliedEffect]:
