@@ -19,9 +19,9 @@ from calrig.analysis.stored_runs import (
     stored_run,
 )
 from calrig.calibration.diagnosis import PartialResidual, partial_residuals, trace
-from calrig.calibration.effects import EFFECTS, UNNAMED
+from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
-from calrig.calibration.regression import DiagnosisRequest, has_knots
+from calrig.calibration.regression import DiagnosisRequest
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Run
 
@@ -189,16 +189,14 @@ def _accepted_of(run: Run, found: Sequence[dict[str, Any]]) -> list[AcceptedEffe
 
 def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
     name, origin = effect["name"], effect["origin"]
-    is_curve = name == UNNAMED and has_knots(effect["parameters"])
-    if effect["verdict"] != "named" and not is_curve:
+    corrects = effect.get("corrects")  # absent in diagnoses of before
+    if effect["verdict"] != "named" and corrects is None:
         raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
     if name not in EFFECTS:
         raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
     if _is_change(effect):
         raise Conflict(f"{name} changed between two runs: diagnose the latest alone, for the values in force")
-    # a term of the angle that was found with a good reference is the unit's; a kink or a step has no formula
-    is_of_unit = origin == "sensor" and EFFECTS[name].as_sensor is not None and (name != UNNAMED or is_curve)
-    scope = "unit" if is_of_unit else EFFECTS[name].scope
+    scope = corrects or EFFECTS[name].scope
     if scope == "run":
         raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
     if scope == "rig" and run.rig is None:

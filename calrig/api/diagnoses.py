@@ -167,6 +167,7 @@ class CatalogueEffect(Model):
 
     name: str
     title: str
+    sensor_title: str | None  # with a good reference, of what is the stage's without
     origin: Origin
     origin_title: str
     scope: Scope
@@ -193,6 +194,7 @@ def _answer(effect: Effect) -> CatalogueEffect:
     return CatalogueEffect(
         name=effect.name,
         title=effect.title,
+        sensor_title=None if effect.as_sensor is None else effect.as_sensor.title,
         origin=effect.origin,
         origin_title=ORIGINS[effect.origin],
         scope=effect.scope,

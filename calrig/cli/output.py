@@ -350,11 +350,12 @@ def _print_effect(effect: EffectFound) -> None:
     from calrig.calibration.regression import ORIGINS
 
     known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
-    titles = [known.title, *(EFFECTS[rival].title for rival in effect.confusable_with)]
+    titles = [known.title_of(effect.origin)]
+    titles += [EFFECTS[rival].title_of(effect.origin) for rival in effect.confusable_with]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     between = f", changed from run {changed.from_} to run {changed.to}" if changed else ""
     heading = f"{', or '.join(titles)}{between}"
-    print_line(f"\n{heading} ({effect.verdict}; {ORIGINS[known.origin]}; {against})")
+    print_line(f"\n{heading} ({effect.verdict}; {ORIGINS[effect.origin]}; {against})")
     for one in known.parameters:
         if not one.flag:
             unit = covariate.unit if one.unit is None else one.unit

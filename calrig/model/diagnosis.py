@@ -44,6 +44,10 @@ class EffectFound(Model):
     origin: Origin
     covariate: str
     parameters: dict[str, Parameter | None]
+    corrects: Literal["unit", "rig"] | None = Field(
+        default=None,
+        description="Whose readings it corrects once accepted; null if it cannot be, and in older ones.",
+    )
     p_value: float
     changed: ChangedBetween | None = None  # null: the effect is the same in all runs
     confusable_with: list[str]

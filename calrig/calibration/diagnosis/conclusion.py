@@ -17,6 +17,7 @@ from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.uncertainty.verdict import SAME_EFFECT, between_runs, not_repeated_better
 
 Document = Mapping[str, Any]
+BY_REFERENCE = "The reference is taken as good: periodic and smooth errors of the angle are the sensor's."
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,8 @@ def conclude(diagnosis: Document, decided: int | None = None) -> Conclusion:
         says.append("Without cross-validation: the error on held-out poses is not known.")
     elif diagnosis["effects"]:
         says.append(_held_out(between, apart))
+    if diagnosis.get("reference") == "good" and any(map(_is_by_reference, diagnosis["effects"])):
+        says.append(BY_REFERENCE)
     fell = all(after < before for before, after in filter(None, (between, apart)))
     if fresh is not None:
         says.append(_confirmation(fresh, decided, confirmed=confirmed))
@@ -58,6 +61,10 @@ def conclude(diagnosis: Document, decided: int | None = None) -> Conclusion:
     explained = (_times_pure_error(diagnosis) or 0.0) < SEVERAL
     good = diagnosis["verdict"] == "named" and fell and confirmed and explained
     return Conclusion("good" if good else "fair", tuple(says))
+
+
+def _is_by_reference(effect: Document) -> bool:
+    return effect.get("origin", "") == "sensor" and EFFECTS[effect["name"]].origin != "sensor"
 
 
 def _answer(diagnosis: Document) -> str:
@@ -144,14 +151,26 @@ def _title(effect: Document) -> str:
     """Return the title of an effect for the middle of a sentence."""
     if effect["name"] == UNNAMED:
         return f"something that follows {covariate_of(effect['covariate']).title}{between_runs(effect)}"
-    title = EFFECTS[effect["name"]].title
-    return title[0].lower() + title[1:] + between_runs(effect)
+    title = EFFECTS[effect["name"]].title_of(effect.get("origin", ""))
+    return _lower(title) + between_runs(effect)
+
+
+def _lower(title: str) -> str:
+    return title[0].lower() + title[1:]
 
 
 def _suspects(effect: Document) -> str:
     others = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
-    names = " or ".join(name.replace("_", " ") for name in (effect["name"], *others))
+    names = " or ".join(_words(name, effect.get("origin", "")) for name in (effect["name"], *others))
     return names + between_runs(effect)
+
+
+def _words(name: str, origin: str) -> str:
+    """Return an effect's name in a sentence; its title where it is the sensor's by a good reference."""
+    known = EFFECTS.get(name)
+    if known is None or origin == known.origin or known.as_sensor is None or origin != "sensor":
+        return name.replace("_", " ")
+    return _lower(known.as_sensor.title)
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

@@ -36,6 +36,7 @@ TURN_THE_UNIT = (
     "turn the unit by 90° or 180° on the stage and calibrate again: what turns with it is the sensor's, what "
     "stays is the stage's"
 )
+OTHER_PLACES = "take poses at other angles, unevenly spaced: what looks alike at these comes apart there"
 COOL_THE_UNIT = (
     "let the unit cool down and calibrate again: what comes back with the temperature is the unit's"
 )
@@ -84,9 +85,9 @@ class FollowUp:
 
 
 def ambiguous_of(findings: Findings) -> SelectedEffect | None:
-    """The first effect that is indistinguishable from its rivals; no run repeats what changed between two."""
+    """The first effect whose rivals a run may separate: no change between runs, and not one curve."""
     suspected = (f for f in findings.found if f.verdict == "ambiguous" and f.candidate.changed is None)
-    return next(suspected, None)
+    return next((f for f in suspected if not f.is_one_curve(findings.responses)), None)
 
 
 def design(
@@ -132,6 +133,8 @@ def design(
     names = trial.names
     if separation < LEAST_SEPARATION:
         by_hand = COOL_THE_UNIT if TEMPERATURE.name in trial.covariates else TURN_THE_UNIT
+        if findings.responses.reference_is_good and by_hand is TURN_THE_UNIT:
+            by_hand = OTHER_PLACES
         return (
             f"no run of {MOST_POSES} poses on this rig would separate {' from '.join(names)}: the best is "
             f"expected to set them apart by {separation:.1f} in −2 log likelihood, and less than "

@@ -27,6 +27,7 @@ from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import CHANNELS
+from calrig.calibration.regression.effect import Scope
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
@@ -34,6 +35,7 @@ from calrig.calibration.regression.run_changes import in_words
 from calrig.calibration.results.correction import numbers_of
 from calrig.estimation.angles import FloatArray
 
+ONE_CURVE = "with a good reference each is the sensor's, and its correction is the same curve"
 DRAWS = 100
 """Which tell an error to 7 % of itself."""
 
@@ -110,6 +112,7 @@ def _document(
         "origin": "sensor" if of_sensor is not None else effect.origin,
         "covariate": candidate.covariate,
         "parameters": effect.documented(candidate.shape, beta, covariance),
+        "corrects": _corrects(r, found, candidate),
         "p_value": found.p_value,
         "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
@@ -121,6 +124,17 @@ def _document(
         ],
         "accepted_at": None,
     }
+
+
+def _corrects(r: Responses, found: SelectedEffect, candidate: Candidate) -> Scope | None:
+    """Return whose correction it is once a person accepts it; None if it cannot be accepted."""
+    if candidate.changed is not None:
+        return None
+    if found.is_one_curve(r):
+        return "unit"
+    is_of_unit = candidate.named and candidate.is_of_sensor(r)
+    scope: Scope = "unit" if is_of_unit else candidate.effect.scope
+    return scope if found.verdict == "named" and scope != "run" else None
 
 
 def _why(found: SelectedEffect, label: str, behind: float) -> str:
@@ -164,7 +178,8 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
         if found.rivals:
             names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
             names = names.replace("_", " ")
-            said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
+            apart = ONE_CURVE if found.is_one_curve(r) else found.candidate.effect.apart
+            said.append(f"indistinguishable from {names} by these poses: {apart}")
         else:
             said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
     return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]

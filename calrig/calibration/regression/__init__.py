@@ -20,7 +20,6 @@ from calrig.calibration.regression.request import (
     AssumedReference,
     DiagnosisRequest,
 )
-from calrig.calibration.regression.spline import has_knots
 from calrig.calibration.regression.terms import MG, c_literal
 
 __all__ = [
@@ -40,5 +39,4 @@ __all__ = [
     "Scope",
     "VectorInC",
     "c_literal",
-    "has_knots",
 ]

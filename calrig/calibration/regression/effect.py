@@ -347,6 +347,11 @@ class Effect:
         """Return whether it is the sensor's only because the reference is good: a term of the angle."""
         return reference_is_good and self.as_sensor is not None and covariate == ELEVATION.name
 
+    def title_of(self, origin: str) -> str:
+        """Return its title where it is of an origin: a term of the angle has another one of the sensor."""
+        of_sensor = self.as_sensor is not None and origin == "sensor" and self.origin != "sensor"
+        return self.as_sensor.title if of_sensor and self.as_sensor else self.title
+
     def turns_the_sensor(self, parameters: Parameters) -> bool:
         """Return whether an applied effect turns the sensor itself."""
         return self.origin in TURNS_THE_SENSOR and not parameters.get(OF_SENSOR)

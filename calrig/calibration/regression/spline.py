@@ -7,7 +7,7 @@ straight. A document has the knots and the curve's values there, from which the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Self
@@ -68,11 +68,6 @@ def curve_document(knots: FloatArray, beta: FloatArray, covariance: FloatArray) 
         document[KNOT.format(k)] = {"value": float(knot), "std": None}
         document[VALUE.format(k)] = {"value": float(value), "std": math.sqrt(max(float(square), 0.0))}
     return document
-
-
-def has_knots(parameters: Mapping[str, object]) -> bool:
-    """Return whether parameters of a document are those of a curve with knots."""
-    return KNOT.format(FEWEST_KNOTS - 1) in parameters
 
 
 def _unit(knots: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from calrig.calibration.results.correction import (
     felt_elevation_deg,
     numbers_of,
     own_effect,
+    reference_temperature_c,
     spans_more_than_a_turn,
 )
 from calrig.calibration.results.pose_errors import (
@@ -41,6 +42,7 @@ __all__ = [
     "numbers_of",
     "own_effect",
     "raw_error_deg",
+    "reference_temperature_c",
     "residuals",
     "spans_more_than_a_turn",
 ]

@@ -234,6 +234,18 @@ def columns_followed(effects: Sequence[AppliedEffect]) -> list[str]:
     return sorted({column for name in followed for column in name.split(TIMES)})
 
 
+def reference_temperature_c(document: Mapping[str, Any], effects: Sequence[AppliedEffect]) -> float | None:
+    """Return the temperature that a table without temperatures is for.
+
+    That of the effects where they have one, their mean where they have several; else the middle of the
+    calibration's. None where no temperature is known.
+    """
+    stated = {parameters["reference_c"] for _, parameters in effects if "reference_c" in parameters}
+    warmth = document.get("temperature_c") or {}
+    known = sorted(stated) or [value for end in ("min", "max") if (value := warmth.get(end)) is not None]
+    return math.fsum(known) / len(known) if known else None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Application:
     """A document, ready for many readings.
