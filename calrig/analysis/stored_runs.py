@@ -110,8 +110,10 @@ def request_of(
         DiagnosisError: a period is out of its limits.
     """
     stated = rig.model_dump(include={"reference", "periods_deg"}) if rig else run.provenance.get("rig") or {}
-    usual: AssumedReference = "good" if (stated.get("reference") or {}).get("good") else "stage"
-    return DiagnosisRequest(reference or usual, (*stated.get("periods_deg", ()), *periods_deg))
+    of_stage = stated.get("reference") or {}
+    usual: AssumedReference = "good" if of_stage.get("good") else "stage"
+    known_deg = (*stated.get("periods_deg", ()), *periods_deg)
+    return DiagnosisRequest(reference or usual, known_deg, of_stage.get("std_deg"))
 
 
 def last_request(run: Run) -> DiagnosisRequest:

@@ -103,6 +103,7 @@ def test_another_question_is_another_diagnosis(bench, traced):
     assert bench.get(f"{url}/diagnosis").json()["reference"] == "stage"
     periodic = [e for e in found["effects"] if e["name"] == "stage_periodic"]
     assert {e["origin"] for e in periodic} == {"stage"}
+    assert any("good" in sentence and "0.00200°" in sentence for sentence in found["says"]), "it is suggested"
     assert {e["corrects"] for e in periodic} <= {"rig", None}
     assert {e["accepted_at"] for e in periodic} == {None}, "accepted as the sensor's, not as the stage's"
     assert bench.post(f"{url}/diagnosis", json={}).json()["reference"] == "good"

@@ -24,15 +24,16 @@ from calrig.calibration.diagnosis.held_out import (
     worse,
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
-from calrig.calibration.diagnosis.report import effect_documents, model_words
+from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, model_words
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.line import fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
-from calrig.calibration.regression.channels import ANGLE, SCALE_UNIT_DEG
+from calrig.calibration.regression.channels import ANGLE
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
-from calrig.calibration.regression.responses import Responses, names_of, responses_of
+from calrig.calibration.regression.responses import names_of, responses_of
+from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 BOOTSTRAPS = 999
@@ -136,9 +137,9 @@ def _unseen_by_gravity(findings: Findings) -> str | None:
     if reading_deg <= UNSEEN * angle_deg:
         return None
     return (
-        f"the reading strays by {reading_deg:#.2g}° (RMS) where the accelerometer's angle strays by "
-        f"{angle_deg:#.2g}°: gravity does not see what moves it, so look at what filters the reading, or "
-        "leave out the accelerometer's columns where they are of another sensor"
+        f"the reading strays by {angle_text(reading_deg, 2)} (RMS) where the accelerometer's angle "
+        f"strays by {angle_text(angle_deg, 2)}: gravity does not see what moves it, so look at "
+        "what filters the reading, or leave out the accelerometer's columns where they are of another sensor"
     )
 
 
@@ -224,14 +225,8 @@ def _noise(lack: LackOfFit) -> dict[str, Any]:
 
 def _after_deg(findings: Findings) -> FloatArray:
     """Return (n,) what the final model leaves of the readings, in degrees of elevation."""
-    return np.asarray(findings.fitted.residuals[:, 0] / _scale(findings.responses, findings))
-
-
-def _scale(r: Responses, findings: Findings) -> float:
-    names = r.base_names
-    if "reading.scale" not in names:
-        return 1.0
-    return 1.0 + float(findings.fitted.beta[names.index("reading.scale")]) / SCALE_UNIT_DEG
+    scale = fitted_scale(findings.responses, findings.fitted.beta)
+    return np.asarray(findings.fitted.residuals[:, 0] / scale)
 
 
 def _lag1(residual: FloatArray, rounding_deg: float) -> float:
@@ -287,4 +282,4 @@ def trace(
         else:
             found["follow_up"] = designed.document(plan or {})
     decided = None if deciding is None else len(deciding)
-    return {**found, **asdict(conclude(found, decided))}
+    return {**found, **asdict(conclude(found, decided, request.reference_std_deg))}

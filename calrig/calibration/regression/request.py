@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
 from calrig.calibration.poses import DiagnosisError
@@ -22,6 +22,7 @@ class DiagnosisRequest:
         reference: `stage`: the reference angle may err, and periodic and smooth terms of it are the stage's.
             `good`: it does not, and they are the sensor's (CONTRACT section 5).
         periods_deg: known periods of the axis, such as a worm's, ascending; (0°, 360°].
+        reference_std_deg: what is stated of the reference; None where nothing is. It decides nothing.
 
     Raises:
         DiagnosisError: a period is out of its limits, or there are too many.
@@ -29,6 +30,7 @@ class DiagnosisRequest:
 
     reference: AssumedReference = "stage"
     periods_deg: tuple[float, ...] = ()
+    reference_std_deg: float | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for period_deg in self.periods_deg:
