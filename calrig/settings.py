@@ -82,6 +82,8 @@ class LimitSettings(Limit):
         return self
 
 
+Period = Annotated[float, Field(gt=0, le=360)]
+MOST_PERIODS = 20
 CONFIG_NAME = "calrig.toml"
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+_.-]*://")
 
@@ -132,16 +134,18 @@ class ReferenceSettings(StandardSettings):
 
     `distribution`: a maker's limit of ±a is rectangular, with std_deg = a/√3; a certificate's U/k normal.
     `map` is the stage's map that was solved for, a file beside this one; beyond it `std_deg` counts.
+    `good`: diagnoses take the stage as free of error, and curves of the angle as the sensor's.
     """
 
     std_deg: float | None = Field(default=None, gt=0)
     kind: Literal["setting", "harmonic", "common"] = "harmonic"
     distribution: Literal["rectangular", "normal"] = "rectangular"
     map: str | None = Field(default=None, min_length=1)
+    good: bool = False
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
-        if self.std_deg is None and self.map is None:
+        if self.std_deg is None and self.map is None and not self.good:
             raise ValueError("reference needs `std_deg` (what the stage's angle is worth), or `map` (a file)")
         return self
 
@@ -166,6 +170,8 @@ class RigSettings(Strict):
     imu: BoardSettings | None = None
     clamp: ClampSettings | None = None
     reference: ReferenceSettings | None = None
+    periods_deg: Annotated[tuple[Period, ...], Field(max_length=MOST_PERIODS)] = ()
+    """Known periods of the axis, such as a worm's or a motor's: diagnoses look for them."""
     thermometer: StandardSettings | None = None
     time_base: StandardSettings | None = None
     overdue: Overdue = "flag"

@@ -38,7 +38,7 @@ export function effectCard(effect, k, { path, run }, signal) {
       bullets(effect.evidence.map(evidenceWords), { class: "evidence" }),
       h("p", {}, h("strong", {}, "Remedy: "), `${effect.remedy}.`),
       considered(effect),
-      effect.verdict === "named" && !effect.changed && acceptance(effect, title, path, run),
+      (effect.corrects || effect.verdict === "named") && !effect.changed && acceptance(effect, title, path, run),
     ),
     chart.element,
   );

@@ -11,9 +11,11 @@ export async function knowEffects() {
 }
 
 /** An effect's title for a heading; one that the catalogue no longer has is shown as it was stored. */
-export function effectTitle({ name, covariate }) {
+export function effectTitle({ name, covariate, origin }) {
   if (name === "unnamed") return `Something that follows ${covariateWords(covariate)}`;
-  return catalogue.get(name)?.title ?? words(name);
+  const known = catalogue.get(name);
+  const ofSensor = origin === "sensor" && known?.origin !== "sensor";
+  return (ofSensor && known?.sensor_title) || (known?.title ?? words(name));
 }
 
 /** A candidate's name, such as `unnamed time_s`, inside a sentence or a table. */
@@ -37,8 +39,8 @@ export function formulaOf({ name }) {
 }
 
 /** `unit`, `rig` or `run`: what the effect stays with. */
-export function scopeOf({ name }) {
-  return catalogue.get(name)?.scope;
+export function scopeOf({ name, corrects }) {
+  return corrects ?? catalogue.get(name)?.scope;
 }
 
 /** [name, value ± standard error with unit] of each parameter that is known and not said in the evidence. */

@@ -19,7 +19,7 @@ from calrig.calibration.results import (
     apply_calibration,
     as_clamped,
     corrected_residuals_deg,
-    numbers_of,
+    own_effect,
 )
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_document import line_of
@@ -226,7 +226,7 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
         which = "calibration in force" if number is None else f"revision {number}"
         raise Conflict(f"unit {unit!r} has no {which} to verify: calibrate it first")
     document = found.document
-    of_unit = [(e["name"], numbers_of(e["parameters"])) for e in document["effects"]]
+    of_unit = [own_effect(e["name"], e["parameters"]) for e in document["effects"]]
     of_rig = as_applied([e for e in store.effects.in_force(unit, rig) if e.unit is None])
     reference = _reference(document)
     solved = "solution" in document["provenance"] and not document["level_known"]

@@ -12,6 +12,7 @@ from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import (
     checked_reason,
     counted_poses,
+    last_request,
     limits_of,
     poses_together,
     runs_together,
@@ -20,6 +21,7 @@ from calrig.analysis.stored_runs import (
 from calrig.calibration.diagnosis import PartialResidual, partial_residuals, trace
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.regression import DiagnosisRequest
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Run
 
@@ -30,8 +32,15 @@ class Diagnoses:
     def __init__(self, store: Store) -> None:
         self._store = store
 
-    def question(self, run_id: str, more: Sequence[str] = ()) -> Callable[..., dict[str, Any]]:
+    def question(
+        self, run_id: str, more: Sequence[str] = (), request: DiagnosisRequest | None = None
+    ) -> Callable[..., dict[str, Any]]:
         """What a run's poses, with more runs of its unit and those it follows on, are to be asked.
+
+        Args:
+            run_id: the run.
+            more: runs of its unit.
+            request: what to assume; None for what its last diagnosis assumed, else what its rig said then.
 
         Returns:
             What gives the diagnosis, here or in another process, or raises DiagnosisError; its `progress` as
@@ -48,6 +57,7 @@ class Diagnoses:
             trace,
             poses_together(self._store, runs),
             [run.id for run in runs],
+            request=request or last_request(latest),
             plan=latest.plan,
             limits_deg=limits_of(latest),
             deciding=self._deciding(latest) if len(runs) > 1 else None,
@@ -79,7 +89,8 @@ class Diagnoses:
         latest = self._store.poses.of(run_id, include_excluded=False)
         runs.append([s.pose for s in latest if decided_on is None or s.index in decided_on])
         try:
-            return partial_residuals(runs, found["effects"], found["runs"])
+            request = DiagnosisRequest.of_document(found)
+            return partial_residuals(runs, found["effects"], found["runs"], request)
         except DiagnosisError as error:
             raise Conflict(f"run {run_id}: {error}") from error
 
@@ -101,7 +112,7 @@ def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None
     """An effect found once more with the very same values has been accepted; with others it has not."""
     for earlier in [] if before is None else before["effects"]:
         for effect in found["effects"]:
-            if all(effect[key] == earlier[key] for key in ("name", "parameters")):
+            if all(effect[key] == earlier[key] for key in ("name", "origin", "parameters")):
                 effect["accepted_at"] = earlier.get("accepted_at")
 
 
@@ -115,20 +126,20 @@ class Acceptance:
     def accept(self, run_id: str, names: Sequence[str], *, who: str | None = None) -> Run:
         """Puts named effects of a run's diagnosis in force: the unit's own for it, the stage's for the rig.
 
+        Of several of one name, such as the orders of a turn, all that can be accepted.
+
         Raises:
             Unknown: no such run, or it has not been diagnosed.
             Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for.
         """
         run, diagnosis = stored_run(self._store, run_id), Diagnoses(self._store).last(run_id)
-        # what was the same in all runs goes before what changed between two of them
-        found = sorted(diagnosis["effects"], key=_is_change, reverse=True)
-        known = {effect["name"]: effect for effect in found}
         accepted = []
-        for name in names:
-            if name not in known:
-                listed = ", ".join(known) or "none"
+        for name in dict.fromkeys(names):
+            found = [effect for effect in diagnosis["effects"] if effect["name"] == name]
+            if not found:
+                listed = ", ".join(dict.fromkeys(effect["name"] for effect in diagnosis["effects"])) or "none"
                 raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
-            accepted.append(_accepted(run, known[name]))
+            accepted += _accepted_of(run, found)
         self._store.effects.accept(run_id, accepted, who=who)
         return self._refitted(run_id, who, f"accepted from run {run_id}: {_listed(names)}")
 
@@ -163,15 +174,29 @@ def _is_change(effect: dict[str, Any]) -> bool:
     return effect.get("changed") is not None
 
 
+def _accepted_of(run: Run, found: Sequence[dict[str, Any]]) -> list[AcceptedEffect]:
+    """Those of one name that can be accepted; Conflict, with the first one's reason, if none can."""
+    accepted, reasons = [], []
+    for effect in sorted(found, key=_is_change):  # what was the same in all runs goes first
+        try:
+            accepted.append(_accepted(run, effect))
+        except Conflict as reason:
+            reasons.append(reason)
+    if not accepted:
+        raise reasons[0]
+    return accepted
+
+
 def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
     name, origin = effect["name"], effect["origin"]
-    if effect["verdict"] != "named":
+    corrects = effect.get("corrects")  # absent in diagnoses of before
+    if effect["verdict"] != "named" and corrects is None:
         raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
     if name not in EFFECTS:
         raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
     if _is_change(effect):
         raise Conflict(f"{name} changed between two runs: diagnose the latest alone, for the values in force")
-    scope = EFFECTS[name].scope
+    scope = corrects or EFFECTS[name].scope
     if scope == "run":
         raise Conflict(f"{name} ({origin}) cannot correct later runs: {effect['remedy']}")
     if scope == "rig" and run.rig is None:

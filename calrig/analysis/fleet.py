@@ -26,10 +26,11 @@ import numpy.typing as npt
 
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.analysis.errors import RunsError
-from calrig.analysis.stored_runs import poses_together, runs_together
+from calrig.analysis.stored_runs import last_request, poses_together, runs_together
 from calrig.calibration.fleet_screen import screen
 from calrig.calibration.packed_poses import PackedPoses, packed
 from calrig.calibration.poses import DiagnosisError
+from calrig.calibration.regression import DiagnosisRequest
 from calrig.errors import WorkError
 from calrig.estimation.angles import FloatArray
 from calrig.export.poses_parquet import parquet_files, read_file
@@ -421,6 +422,8 @@ def poses_sha256(store: Store, run_id: str) -> str:
         for name, column in columns.items():
             digest.update(f"{name}\0{len(column)}\0".encode() + column.tobytes())
         digest.update(repr(poses[0].filtering if poses else None).encode())
+    if (run := store.runs.get(run_id)) is not None and (request := last_request(run)) != DiagnosisRequest():
+        digest.update(repr(request).encode())
     return digest.hexdigest()
 
 

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calrig.calibration.poses import Pose, of_first_mount
-from calrig.calibration.results import AppliedEffect, FittedResult, build_result, numbers_of, residuals
+from calrig.calibration.results import (
+    AppliedEffect,
+    FittedResult,
+    build_result,
+    numbers_of,
+    own_effect,
+    residuals,
+)
 from calrig.calibration.separation import beyond_in_words, dial_of, map_reference
 from calrig.calibration.uncertainty import AS_PLANNED, Ending
 from calrig.model.result import Gyro, Reference, Result
@@ -20,7 +27,12 @@ if TYPE_CHECKING:
 
 def as_applied(accepted: Sequence[AcceptedEffect]) -> list[AppliedEffect]:
     """Accepted effects as arithmetic takes them."""
-    return [(effect.name, numbers_of(effect.parameters)) for effect in accepted]
+    return [
+        own_effect(effect.name, effect.parameters)
+        if effect.unit is not None
+        else (effect.name, numbers_of(effect.parameters))
+        for effect in accepted
+    ]
 
 
 def fitted(

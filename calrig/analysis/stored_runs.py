@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.calibration.diagnosis import Findings, diagnose
 from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose
+from calrig.calibration.regression import AssumedReference, DiagnosisRequest
 from calrig.export.poses_csv import Labels
 from calrig.model.run import AT_REST
 from calrig.processes.pool import run_in_subprocess
 from calrig.store.records import Run
 
 if TYPE_CHECKING:
+    from calrig.settings import RigSettings
     from calrig.store import Store
 
 
@@ -90,6 +92,35 @@ def limits_of(run: Run) -> tuple[float, float] | None:
     return None if limits is None else (float(limits[0]), float(limits[1]))
 
 
+def request_of(
+    run: Run,
+    rig: RigSettings | None,
+    reference: AssumedReference | None = None,
+    periods_deg: Sequence[float] = (),
+) -> DiagnosisRequest:
+    """What a diagnosis of a run assumes: as asked, else as its rig says.
+
+    Args:
+        run: the run.
+        rig: its rig as it is configured; None where it is not known here, and what it was counts.
+        reference: as asked; None where nothing was.
+        periods_deg: as asked, beside the rig's own.
+
+    Raises:
+        DiagnosisError: a period is out of its limits.
+    """
+    stated = rig.model_dump(include={"reference", "periods_deg"}) if rig else run.provenance.get("rig") or {}
+    of_stage = stated.get("reference") or {}
+    usual: AssumedReference = "good" if of_stage.get("good") else "stage"
+    known_deg = (*stated.get("periods_deg", ()), *periods_deg)
+    return DiagnosisRequest(reference or usual, known_deg, of_stage.get("std_deg"))
+
+
+def last_request(run: Run) -> DiagnosisRequest:
+    """What the last diagnosis of a run assumed; without one, what its rig said when it was made."""
+    return request_of(run, None) if run.diagnosis is None else DiagnosisRequest.of_document(run.diagnosis)
+
+
 def counted_poses(store: Store, run_id: str) -> list[Pose]:
     """The poses of a run that nobody has excluded."""
     return [stored.pose for stored in store.poses.of(run_id, include_excluded=False)]
@@ -148,10 +179,10 @@ class AmbiguousRuns:
     findings: Findings
 
     @classmethod
-    def of(cls, run_ids: list[str], poses: list[list[Pose]]) -> AmbiguousRuns:
+    def of(cls, run_ids: list[str], poses: list[list[Pose]], request: DiagnosisRequest) -> AmbiguousRuns:
         """Runs whose poses are diagnosed quickly: without errors on held-out poses; as `unresolved`."""
         try:
-            return cls(run_ids, poses, run_in_subprocess(partial(found_in, poses)))
+            return cls(run_ids, poses, run_in_subprocess(partial(found_in, poses, request)))
         except DiagnosisError as error:
             raise Conflict(f"run {run_ids[-1]}: {error}") from error
 
@@ -169,9 +200,10 @@ def unresolved(store: Store, run_id: str) -> AmbiguousRuns:
         Invalid: they are too many.
     """
     runs = runs_together(store, run_id)
-    return AmbiguousRuns.of([run.id for run in runs], poses_together(store, runs))
+    request = last_request(runs[-1])
+    return AmbiguousRuns.of([run.id for run in runs], poses_together(store, runs), request)
 
 
-def found_in(poses: list[list[Pose]]) -> Findings:
+def found_in(poses: list[list[Pose]], request: DiagnosisRequest) -> Findings:
     """What a quick diagnosis of them finds; or DiagnosisError."""
-    return diagnose(poses, cross_fit=False).findings
+    return diagnose(poses, request=request, cross_fit=False).findings

@@ -2,13 +2,15 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
+from contextlib import suppress
 from typing import Annotated, Any
 
 from fastapi import APIRouter
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from calrig.analysis.errors import Invalid
+from calrig.analysis.errors import Invalid, RunsError
+from calrig.analysis.stored_runs import request_of
 from calrig.api.access import Who, requires
 from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
@@ -17,7 +19,16 @@ from calrig.api.jobs import ACCEPTED, Heavy, Wait
 from calrig.api.models import Body, RunAnswer
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
-from calrig.calibration.regression import ORIGINS, Effect, Origin, Scope
+from calrig.calibration.regression import (
+    LONGEST_PERIOD_DEG,
+    MOST_PERIODS,
+    ORIGINS,
+    AssumedReference,
+    DiagnosisRequest,
+    Effect,
+    Origin,
+    Scope,
+)
 from calrig.model.base import Model
 from calrig.model.diagnosis import Diagnosis
 from calrig.store import Run
@@ -26,9 +37,17 @@ router = APIRouter(tags=["diagnoses"])
 
 
 class Diagnose(Body):
-    """What to diagnose together with a run: more runs of its unit."""
+    """What to diagnose together with a run, and what to assume.
+
+    `reference`: `good` if it does not err, so that periodic and smooth terms of the angle are the sensor's;
+    absent or null as the rig says. `periods`: known ones of the axis, degrees, beside those of the rig.
+    """
 
     runs: list[str] = Field(default=[], max_length=100)
+    reference: AssumedReference | None = None
+    periods: list[Annotated[float, Field(gt=0, le=LONGEST_PERIOD_DEG)]] = Field(
+        default=[], max_length=MOST_PERIODS
+    )
 
 
 class Accept(Body):
@@ -59,8 +78,9 @@ async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy
     """
 
     async def work(job: Job) -> object:
-        question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs)
         try:
+            request = await run_in_threadpool(_request, context, run, body)
+            question = await run_in_threadpool(context.diagnoses.question, run.id, body.runs, request)
             found = await job.run(question, tells_progress=True)
         except DiagnosisError as error:
             raise Invalid(f"run {run.id}: {error}") from error
@@ -126,6 +146,13 @@ async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who, wai
     return await heavy.answer(work, wait=wait, kept_at=lambda begun: f"/api/runs/{begun.id}")
 
 
+def _request(context: Context, run: KnownRun, body: Diagnose) -> DiagnosisRequest:
+    rig = None
+    with suppress(RunsError):  # a rig that is not configured here any more, or at several benches
+        rig = run.rig and context.service.known_rig(run.rig)
+    return request_of(run, rig or None, body.reference, body.periods)
+
+
 class EffectParameter(Model):
     """A parameter; `unit` is null where it is the covariate's own, `flag` where it is 1 or absent."""
 
@@ -140,6 +167,7 @@ class CatalogueEffect(Model):
 
     name: str
     title: str
+    sensor_title: str | None  # with a good reference, of what is the stage's without
     origin: Origin
     origin_title: str
     scope: Scope
@@ -166,6 +194,7 @@ def _answer(effect: Effect) -> CatalogueEffect:
     return CatalogueEffect(
         name=effect.name,
         title=effect.title,
+        sensor_title=None if effect.as_sensor is None else effect.as_sensor.title,
         origin=effect.origin,
         origin_title=ORIGINS[effect.origin],
         scope=effect.scope,

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from calrig.cli import options
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
-from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Rate, Server, whole_id
+from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Plot, Rate, Server, whole_id
 from calrig.cli.running_service import running_service, whole_id_there
-from calrig.errors import InputError
+from calrig.errors import InputError, WorkError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from calrig.calibration.poses import Pose
+    from calrig.calibration.regression import AssumedReference, DiagnosisRequest
+    from calrig.client import Client
+    from calrig.figures.files import Rows
+
+    Found = tuple[dict[str, Any], Callable[[], list[list[Pose]]]]
+    """A document, and what gives the poses of its runs."""
 
 
 def diagnose(
@@ -25,6 +36,18 @@ def diagnose(
         ),
     ],
     as_json: Json = False,
+    period: Annotated[
+        list[float] | None,
+        typer.Option(metavar="DEG", help="A known period of the axis, such as a worm's; may be repeated."),
+    ] = None,
+    reference: Annotated[
+        Literal["good", "stage"] | None,
+        typer.Option(
+            help="Whose error it is. good: the reference does not err, so curves of the angle are the "
+            "sensor's. stage: they may be the stage's. Default: as the rig says, else stage.",
+        ),
+    ] = None,
+    plot: Plot = None,
     db: Db = None,
     server: Server = None,
 ) -> None:
@@ -33,21 +56,31 @@ def diagnose(
     Runs are diagnosed by the service that holds their store, where one does: it keeps the diagnosis.
     """
     from calrig.calibration.poses import DiagnosisError
+    from calrig.calibration.regression import DiagnosisRequest
     from calrig.cli import output
     from calrig.client.documents import typed
+    from calrig.figures.files import writer_of
     from calrig.model.diagnosis import Diagnosis
 
+    write = None if plot is None else writer_of(plot)
     files = [source for source in sources if names_a_file(source)]
     if files and len(files) < len(sources):
         raise InputError("diagnose: name files or run ids, not both")
     try:
-        found: object = _of_files(files) if files else _of_runs(sources, db, server)
+        request = DiagnosisRequest(reference or "stage", tuple(period or ()))
+        found, poses_of = (
+            _of_files(files, request)
+            if files
+            else _of_runs(sources, reference, request.periods_deg, db, server)
+        )
     except DiagnosisError as error:
         raise InputError(f"{', '.join(sources)}: {error}") from error
     if as_json:
         output.print_json(found)
     else:
         output.print_diagnosis(typed(Diagnosis, found))
+    if write is not None:
+        write(", ".join(sources), _drawn(found, poses_of()))
 
 
 def gravity(
@@ -89,33 +122,67 @@ def gravity(
         output.print_gravity(document)
 
 
-def _of_files(files: Sequence[str]) -> dict[str, Any]:
+def _drawn(found: dict[str, Any], runs: Sequence[Sequence[Pose]]) -> Rows:
+    from calrig.calibration.diagnosis import drawn_residuals
+    from calrig.calibration.poses import DiagnosisError
+    from calrig.calibration.regression import DiagnosisRequest
+    from calrig.figures.diagnosis import diagnosis_figures
+
+    try:
+        request = DiagnosisRequest.of_document(found)
+        residuals = drawn_residuals(runs, found["effects"], found["runs"], request)
+    except DiagnosisError as error:
+        raise WorkError(f"--plot: {error}") from error
+    return diagnosis_figures(residuals, found["effects"])
+
+
+def _of_files(files: Sequence[str], request: DiagnosisRequest) -> Found:
     from calrig.calibration.diagnosis import trace
     from calrig.cli.progress import late_bar
 
     read = [read_poses_file(Path(file)) for file in files]
     with late_bar("diagnosing") as show:
-        found = trace([poses for poses, _ in read], files, progress=show)
+        found = trace([poses for poses, _ in read], files, request=request, progress=show)
     found["warnings"] = [warning for _, warnings in read for warning in warnings] + found["warnings"]
-    return found
+    return found, lambda: [poses for poses, _ in read]
 
 
-def _of_runs(run_ids: Sequence[str], db: str | None, server: str | None) -> object:
+def _of_runs(
+    run_ids: Sequence[str],
+    reference: AssumedReference | None,
+    periods_deg: Sequence[float],
+    db: str | None,
+    server: str | None,
+) -> Found:
     from calrig.cli.progress import late_bar
 
     there = running_service(server, db)
     if there is not None:
         *more, last = (whole_id_there(there, typed) for typed in run_ids)
         with late_bar("diagnosing") as show:
-            there.diagnose(last, *more, told=show)
-        return there.get(f"/api/runs/{last}/diagnosis")
+            there.diagnose(last, *more, reference=reference, periods_deg=periods_deg, told=show)
+        found = there.get(f"/api/runs/{last}/diagnosis")
+        return found, lambda: [_poses_there(there, run_id) for run_id in found["runs"]]
 
     from calrig.analysis.diagnoses import Diagnoses
-    from calrig.settings import store_url
+    from calrig.analysis.stored_runs import counted_poses, request_of, runs_together, stored_run
+    from calrig.settings import load_settings, store_url
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
         *more, last = (whole_id(store, typed) for typed in run_ids)
-        asked = Diagnoses(store).question(last, more)
+        run = stored_run(store, last)
+        rig = next((rig for rig in load_settings().rig if rig.name == run.rig), None)
+        request = request_of(run, rig, reference, periods_deg)
+        asked = Diagnoses(store).question(last, more, request)
+        kept = {run.id: counted_poses(store, run.id) for run in runs_together(store, last, more)}
     with late_bar("diagnosing") as show:
-        return asked(progress=show)
+        found = asked(progress=show)
+    return found, lambda: [kept[run_id] for run_id in found["runs"]]
+
+
+def _poses_there(there: Client, run_id: str) -> list[Pose]:
+    from calrig.export.poses_csv import read_about_x
+
+    poses, _ = read_about_x(there.text(f"/api/runs/{run_id}/poses?format=csv").encode())
+    return poses

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import math
 import sys
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 from urllib.parse import quote
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
     from calrig.calibration.packed_poses import PackedPoses
     from calrig.client import Client
     from calrig.client import Revision as RevisionThere
+    from calrig.export.formats import CalibrationExporter
     from calrig.store import Store
     from calrig.store.issued import Revision
 
@@ -81,6 +86,12 @@ def export(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="Where a certificate or an archive goes."),
     ] = None,
+    step: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Of a table: from row to row of the reading [1].")
+    ] = None,
+    lsb: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Of a table: write integers of this step.")
+    ] = None,
     sign: Annotated[
         Path | None, typer.Option(metavar="KEY.pem", help="Sign the DCC with this key, and --cert.")
     ] = None,
@@ -111,23 +122,42 @@ def export(
         return
     if (run_id is None) == (unit is None):
         raise InputError("export: name either a RUN_ID or --unit SERIAL")
+    if format_ != "table" and (step, lsb) != (None, None):
+        raise InputError("export: --step and --lsb are of --format table")
+    table = None if (step, lsb) == (None, None) else _table(step, lsb)
     form = FORMS.get(format_)
     if out is not None and form is None:
         raise InputError(f"export: --format {format_} goes to standard output, not to --out")
     if run_id is not None and (run_id.endswith(".json") or Path(run_id).is_file()):
-        sys.stdout.write(_of_file(run_id, format_))
+        sys.stdout.write(_of_file(run_id, format_, table))
     elif form is not None:
         _export_certificate(form, run_id, unit, out, (sign, cert), db, server)
     else:
-        _export_text(format_, run_id, unit, db, server)
+        _export_text(format_, run_id, unit, db, server, table)
+
+
+def _table(step_deg: float | None, lsb_deg: float | None) -> CalibrationExporter:
+    """Return the exporter of a table with steps of its own."""
+    from calrig.export.formats.table import EXPORTER, STEP_DEG, correction_table
+
+    for option, given_deg in (("--step", step_deg), ("--lsb", lsb_deg)):
+        if given_deg is not None and not (math.isfinite(given_deg) and given_deg > 0.0):
+            raise InputError(f"export: {option} is {given_deg:g}°: it must be greater than 0°")
+    write = partial(correction_table, step_deg=step_deg or STEP_DEG, lsb_deg=lsb_deg)
+    return replace(EXPORTER, write=write)
 
 
 def _export_text(
-    format_: str, run_id: str | None, unit: str | None, db: str | None, server: str | None
+    format_: str,
+    run_id: str | None,
+    unit: str | None,
+    db: str | None,
+    server: str | None,
+    table: CalibrationExporter | None,
 ) -> None:
     there = running_service(server, db)
     if there is not None:
-        text, of_unit, found = _exported_there(there, run_id, unit, format_)
+        text, of_unit, found = _exported_there(there, run_id, unit, format_, table)
         if found is not None:
             says = () if format_ == "csv" else found.verdict.says
             _say_which(of_unit, found.revision, found.status, says)
@@ -138,7 +168,7 @@ def _export_text(
     from calrig.store import Store
 
     with Store.open(store_url(db), writer=None) as store:
-        sys.stdout.write(_text(store, run_id and whole_id(store, run_id), unit, format_))
+        sys.stdout.write(_text(store, run_id and whole_id(store, run_id), unit, format_, table))
 
 
 def _export_certificate(
@@ -172,7 +202,11 @@ def _export_certificate(
 
 
 def _exported_there(
-    client: Client, run_id: str | None, unit: str | None, format_: str
+    client: Client,
+    run_id: str | None,
+    unit: str | None,
+    format_: str,
+    table: CalibrationExporter | None,
 ) -> tuple[str, str, RevisionThere | None]:
     """Return the text that a service exports, its unit and its revision; no revision of a run's poses."""
     from calrig.export.formats import exporters
@@ -185,6 +219,11 @@ def _exported_there(
     of_unit, found = _revision_there(client, run_id, unit)
     if format_ == "csv":
         return _poses_there(client, found.run_id), of_unit, found
+    if table is not None:
+        from calrig.analysis.certificates import exported_document
+
+        document = json.loads(client.exported(of_unit, "json", found.revision))
+        return exported_document(document, table, f"revision {found.revision}"), of_unit, found
     text = client.exported(of_unit, format_, found.revision)
     return text + "\n" * (format_ == "json"), of_unit, found
 
@@ -220,7 +259,9 @@ def _refuse_elsewhere(option: str, server: str | None, db: str | None) -> None:
         )
 
 
-def _text(store: Store, run_id: str | None, unit: str | None, format_: str) -> str:
+def _text(
+    store: Store, run_id: str | None, unit: str | None, format_: str, table: CalibrationExporter | None
+) -> str:
     """What is printed; standard error has the verdict of a calibration."""
     from calrig.analysis.certificates import exported, exported_noise
     from calrig.analysis.stored_runs import stored_run
@@ -228,7 +269,7 @@ def _text(store: Store, run_id: str | None, unit: str | None, format_: str) -> s
 
     if run_id is not None and format_ == "csv":
         return _poses(store, run_id)
-    exporter = None if format_ in ISSUED else exporter_of(format_)
+    exporter = None if format_ in ISSUED else table or exporter_of(format_)
     if isinstance(exporter, NoiseExporter):
         of_unit = unit or stored_run(store, run_id or "").unit
         return exported_noise(store, of_unit, exporter)
@@ -248,12 +289,12 @@ def _poses(store: Store, run_id: str) -> str:
     return write_poses(counted_poses(store, run.id), labels_of(run))
 
 
-def _of_file(file: str, format_: str) -> str:
+def _of_file(file: str, format_: str, table: CalibrationExporter | None) -> str:
     from calrig.analysis.certificates import exported_document
     from calrig.export.calibration_document import read_document
     from calrig.export.formats import CalibrationExporter, exporter_of, exporters
 
-    exporter = None if format_ in ISSUED else exporter_of(format_)
+    exporter = None if format_ in ISSUED else table or exporter_of(format_)
     if not isinstance(exporter, CalibrationExporter):
         names = ", ".join(one.name for one in exporters("calibration"))
         raise InputError(f"export: {file}: a calibration in a file is given as {names}")

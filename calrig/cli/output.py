@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calrig.errors import printable
+from calrig.estimation.angle_text import SMALL_DEG, angle_text
 
 if TYPE_CHECKING:
     from calrig.client.documents import RunRecord
@@ -116,6 +117,9 @@ def _as_list(
 def print_parameter(title: str, parameter: Mapping[str, Any] | Model | None, unit: str = "") -> None:
     """Prints a parameter with its standard error; one that does not apply is left out."""
     if parameter is not None:
+        if unit == "°":
+            print_line(f"  {title} = {angle_text(parameter['value'], 4, parameter['std'])}")
+            return
         std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
         print_line(f"  {title} = {parameter['value']:.4g}{std}{unit and f' {unit}'}")
 
@@ -127,7 +131,9 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def number(value: float | None, unit: str, decimals: int = 4) -> str:
-    """A number with its unit, or that it is not known."""
+    """A number with its unit, or that it is not known; a small angle with the digits that show it."""
+    if value is not None and unit == "°" and 0.0 < abs(value) < SMALL_DEG:
+        return angle_text(value)
     return "not known" if value is None else f"{value:.{decimals}f}{unit}"
 
 
@@ -388,11 +394,12 @@ def _print_effect(effect: EffectFound) -> None:
     from calrig.calibration.regression import ORIGINS
 
     known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
-    titles = [known.title, *(EFFECTS[rival].title for rival in effect.confusable_with)]
+    titles = [known.title_of(effect.origin)]
+    titles += [EFFECTS[rival].title_of(effect.origin) for rival in effect.confusable_with]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     between = f", changed from run {changed.from_} to run {changed.to}" if changed else ""
     heading = f"{', or '.join(titles)}{between}"
-    print_line(f"\n{heading} ({effect.verdict}; {ORIGINS[known.origin]}; {against})")
+    print_line(f"\n{heading} ({effect.verdict}; {ORIGINS[effect.origin]}; {against})")
     for one in known.parameters:
         if not one.flag:
             unit = covariate.unit if one.unit is None else one.unit

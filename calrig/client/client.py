@@ -227,9 +227,17 @@ class Client(Transport):
         fields = _given(rate_hz, accel_range_g, gyro_range_dps)
         return typed(FiltersStudy, self._of_file("/api/filters", file, fields, sent, told))
 
-    def diagnose(self, run_id: str, *more: str, told: Told = ignore_progress) -> Diagnosis:
+    def diagnose(
+        self,
+        run_id: str,
+        *more: str,
+        reference: Literal["stage", "good"] | None = None,
+        periods_deg: Sequence[float] = (),
+        told: Told = ignore_progress,
+    ) -> Diagnosis:
         """As `Run.diagnose`, by the run's id."""
-        return Run.of_id(self, run_id).diagnose(*more, told=told)
+        run = Run.of_id(self, run_id)
+        return run.diagnose(*more, reference=reference, periods_deg=periods_deg, told=told)
 
     def solve(
         self,

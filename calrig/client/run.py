@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from typing import Any, Self
+from typing import Any, Literal, Self
 from urllib.parse import quote
 
 from calrig.client.documents import RunEvent, RunRecord, typed
@@ -223,14 +223,28 @@ class Run:
         """
         return self._ask("resume", {} if stage_at_deg is None else {"stage_at_deg": stage_at_deg})
 
-    def diagnose(self, *more: str, told: Told = ignore_progress) -> Diagnosis:
+    def diagnose(
+        self,
+        *more: str,
+        reference: Literal["stage", "good"] | None = None,
+        periods_deg: Sequence[float] = (),
+        told: Told = ignore_progress,
+    ) -> Diagnosis:
         """Traces what bias and scale leave, with more runs of the unit; the service keeps it with the run.
 
         Args:
             more: ids of runs.
+            reference: `good` if the stage does not err: curves of the angle are the sensor's. None: as the
+                rig says.
+            periods_deg: known periods of the axis, beside those of the rig.
             told: is told the share that is done.
         """
-        asked = self._link.post(f"{self._path}/diagnosis?wait=false", {"runs": list(more)})
+        body: dict[str, Any] = {"runs": list(more)}
+        if reference is not None:  # an older service knows neither key
+            body["reference"] = reference
+        if periods_deg:
+            body["periods"] = list(periods_deg)
+        asked = self._link.post(f"{self._path}/diagnosis?wait=false", body)
         return typed(Diagnosis, outcome(self._link, asked, told))
 
     def noise(self, *, told: Told = ignore_progress) -> NoiseStudy:

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.diagnosis import PartialResidual
-from calrig.calibration.effects import covariate_of
+from calrig.calibration.diagnosis import DrawnResiduals, PartialResidual
+from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
+from calrig.calibration.line import rms
+from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
+from calrig.figures.files import Rows
 from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
 
 CURVE_POINTS = 400
@@ -17,6 +20,7 @@ ROOM = 1.2
 """Beside the longest bar, for its figure."""
 ROUGH = 1.0
 """Mean squared step between neighbours over the variance: about this where a cycle has six points."""
+MANY_PERIODS = 6.0
 MOST_TURNS = 2
 """From up to down or back, of what follows temperature alone."""
 
@@ -45,7 +49,7 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
         "orientation": "h",
         "y": [name for name, _, _ in known],
         "x": [value for _, value, _ in known],
-        "text": [f"{value:#.3g}°" for _, value, _ in known],
+        "text": [angle_text(value) for _, value, _ in known],
         "textposition": "outside",
         "cliponaxis": False,
         "marker": {"color": [colour for _, _, colour in known]},
@@ -53,14 +57,21 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
     return {"data": [trace], "layout": layout}
 
 
-def partial_residual(found: PartialResidual) -> Figure:
+def partial_residual(found: PartialResidual, period: float | None = None) -> Figure:
     """Return the partial residual of one effect against its covariate, with the fitted effect through it.
 
     The effect is a line where it is a function of the covariate, points where it depends on more than that.
+
+    Args:
+        found: the partial residual.
+        period: of an effect that repeats many times: the poses are laid over each other in one period.
     """
     layout = layout_of(as_text(_axis(found.covariate)), "partial residual (°)")
     layout["yaxis"]["zeroline"] = True
     at = found.at
+    if period is not None and np.ptp(at) > MANY_PERIODS * period:
+        at = np.mod(at, period)
+        layout["xaxis"]["title"]["text"] = f"{as_text(_axis(found.covariate))}, in one period of {period:.5g}"
     if found.covariate == "approach":
         at = _spread_by_elevation(found)
         senses = [int(sense) for sense in np.unique(found.at)]
@@ -77,6 +88,71 @@ def partial_residual(found: PartialResidual) -> Figure:
         "hovertemplate": "at %{customdata:.2f}°: %{y:.4f}°<extra></extra>",
     }
     return {"data": [points, _fitted(found, at)], "layout": layout}
+
+
+def diagnosis_figures(found: DrawnResiduals, effects: Sequence[Mapping[str, Any]]) -> Rows:
+    """Return residuals before and after, by angle and by time, and each effect with its partial residual.
+
+    Args:
+        found: the residuals.
+        effects: those of the document, in the order of `found.effects`.
+    """
+    rows = [
+        [
+            (f"{when}, by {along}: RMS {angle_text(rms(left_deg))}", _left(at, left_deg, axis, colour))
+            for along, at, axis in _along(found)
+        ]
+        for when, left_deg, colour in (
+            ("Bias and scale", found.before_deg, PALETTE[1]),
+            ("With effects", found.after_deg, PALETTE[0]),
+        )
+    ]
+    cells = [
+        (_caption(effect), partial_residual(part, _period(effect)))
+        for effect, part in zip(effects, found.effects, strict=True)
+    ]
+    return [*rows, *(cells[k : k + 2] for k in range(0, len(cells), 2))]
+
+
+def _along(found: DrawnResiduals) -> list[tuple[str, FloatArray, str]]:
+    """Return what residuals are drawn along: its name, (n,) values, and the title of the axis."""
+    by_angle = ("angle", found.theta_deg, "elevation (°)")
+    if found.time_s is None:
+        if (np.diff(found.theta_deg) >= 0.0).all():
+            return [by_angle]
+        return [by_angle, ("row", np.arange(len(found.theta_deg), dtype=np.float64), "row of the table")]
+    return [by_angle, ("time", found.time_s, "time (s)")]
+
+
+def _left(at: FloatArray, left_deg: FloatArray, axis: str, colour: str) -> Figure:
+    layout = layout_of(axis, "residual (°)")
+    layout["yaxis"]["zeroline"] = True
+    layout["showlegend"] = False
+    points = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": "poses",
+        "x": at.tolist(),
+        "y": left_deg.tolist(),
+        "marker": {"color": colour, "size": 5, "opacity": 0.7},
+        "hovertemplate": "%{x:.2f}: %{y:.5f}°<extra></extra>",
+    }
+    return {"data": [points], "layout": layout}
+
+
+def _caption(effect: Mapping[str, Any]) -> str:
+    if effect["name"] == UNNAMED:
+        return as_text(
+            f"Something that follows {covariate_of(effect['covariate']).title} ({effect['verdict']})"
+        )
+    title, period_deg = EFFECTS[effect["name"]].title_of(effect["origin"]), _period(effect)
+    of_period = f", period {period_deg:.5g}°" if period_deg else ""
+    return f"{title}{of_period} ({effect['verdict']})"
+
+
+def _period(effect: Mapping[str, Any]) -> float | None:
+    found = effect["parameters"].get("period_deg")
+    return found and float(found["value"])
 
 
 def _axis(name: str) -> str:

@@ -44,6 +44,10 @@ class EffectFound(Model):
     origin: Origin
     covariate: str
     parameters: dict[str, Parameter | None]
+    corrects: Literal["unit", "rig"] | None = Field(
+        default=None,
+        description="Whose readings it corrects once accepted; null if it cannot be, and in older ones.",
+    )
     p_value: float
     changed: ChangedBetween | None = None  # null: the effect is the same in all runs
     confusable_with: list[str]
@@ -128,6 +132,8 @@ class Diagnosis(Model):
     """CONTRACT section 5, with `grade` and, in `says`, its interpretation for people, the answer first."""
 
     runs: list[str]
+    reference: Literal["stage", "good"] = "stage"  # in diagnoses stored before it could be asked for
+    known_periods_deg: list[float] = Field(default=[])
     n_poses: int
     held_out: HeldOut
     noise: ReadingNoise

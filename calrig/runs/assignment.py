@@ -15,6 +15,7 @@ from calrig.analysis.imports import provenance
 from calrig.analysis.stage_maps import provenance_part
 from calrig.analysis.stored_runs import AmbiguousRuns
 from calrig.calibration.poses import Pose
+from calrig.calibration.regression import DiagnosisRequest
 from calrig.estimation.gyro import GyroBias
 from calrig.instruments.transcript import Tape, Tapes
 from calrig.instruments.types import Board
@@ -204,15 +205,22 @@ def follow_up_of(document: Document, plan: Plan, settings: RigSettings) -> Follo
     known = document.get("follow_up")
     if known is None:
         return None
-    earlier = AmbiguousRuns.of(known["run_ids"], _poses().validate_python(known["poses"]))
+    earlier = AmbiguousRuns.of(
+        known["run_ids"],
+        _poses().validate_python(known["poses"]),
+        DiagnosisRequest.of_document(known),
+    )
     return FollowUpRun(earlier, known["separates"], known["deciding"], plan, settings.limits_deg)
 
 
 def _follow_up_document(follow_up: FollowUpRun) -> Document:
+    request = follow_up.earlier.findings.responses.request
     return {
         "separates": list(follow_up.separates),
         "deciding": follow_up.deciding,
         "run_ids": follow_up.earlier.run_ids,
+        "reference": request.reference,
+        "known_periods_deg": list(request.periods_deg),
         "poses": _poses().dump_python(follow_up.earlier.poses, mode="json"),
     }
 

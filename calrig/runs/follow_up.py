@@ -8,10 +8,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from calrig.analysis.errors import Conflict
-from calrig.analysis.stored_runs import AmbiguousRuns, found_in, poses_together, runs_together
+from calrig.analysis.stored_runs import AmbiguousRuns, found_in, last_request, poses_together, runs_together
 from calrig.calibration.diagnosis import Findings, FollowUp, SequentialTest, design, trace
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.progress import Progress, unheard, within
+from calrig.calibration.regression import DiagnosisRequest
 from calrig.model.plan import Plan, PlannedPose
 from calrig.processes.pool import WorkError, run_in_subprocess
 from calrig.store import Run
@@ -34,23 +35,26 @@ class FollowUpQuestion:
         last: a run whose diagnosis, with those it follows on, left something ambiguous.
         run_ids, poses: of all of them, in the order measured.
         limits_deg: soft limits of the rig.
+        request: what the last diagnosis assumed.
     """
 
     last: Run
     run_ids: list[str]
     poses: list[list[Pose]]
     limits_deg: tuple[float, float]
+    request: DiagnosisRequest
 
     @classmethod
     def of(cls, store: Store, last: Run, limits_deg: tuple[float, float]) -> FollowUpQuestion:
         """The question; Conflict where a run has not ended, Invalid where they are too many."""
         runs = runs_together(store, last.id)
-        return cls(last, [run.id for run in runs], poses_together(store, runs), limits_deg)
+        ids = [run.id for run in runs]
+        return cls(last, ids, poses_together(store, runs), limits_deg, last_request(last))
 
     @property
     def work(self) -> Callable[..., Designed]:
         """What answers it, here or in another process; its `progress` is told the share that is done."""
-        return partial(designed, self.poses, self.limits_deg)
+        return partial(designed, self.poses, self.limits_deg, self.request)
 
     def follow_up(self, found: Designed) -> FollowUpRun:
         """The run that was designed; Conflict where none would separate the suspects, and why."""
@@ -65,11 +69,12 @@ class FollowUpQuestion:
 def designed(
     poses: list[list[Pose]],
     limits_deg: tuple[float, float],
+    request: DiagnosisRequest,
     progress: Progress = unheard,
 ) -> Designed:
     """Finds the suspects in the poses of runs, and designs the run that separates them."""
     try:
-        findings = found_in(poses)
+        findings = found_in(poses, request)
     except DiagnosisError as error:
         return str(error)
     progress(SEARCHED)
@@ -127,6 +132,7 @@ class FollowUpRun:
             trace,
             [*self.earlier.poses, measured],
             [*self.earlier.run_ids, run_id],
+            request=self.earlier.findings.responses.request,
             plan=self.plan.model_dump(mode="json"),
             limits_deg=self.limits_deg,
             deciding=self.decided_on,

@@ -26,7 +26,7 @@ class AcceptedEffects(Repository):
     def accept(self, run_id: str, accepted: Sequence[AcceptedEffect], *, who: str | None = None) -> None:
         """Puts effects of a run's diagnosis in force from now on; the diagnosis says since when.
 
-        Each for its unit or its rig, in place of an earlier one of that name.
+        Each for its unit or its rig, in place of earlier ones of that name.
         """
         now = datetime.now(UTC)
         with self._database.writing() as session:
@@ -69,7 +69,7 @@ class AcceptedEffects(Repository):
             append(session, act_on("taken_back", run, who, reason, effects=list(dict.fromkeys(names))), now)
 
     def in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
-        """The effects accepted for a unit and for a rig: of each name the latest that was not taken back."""
+        """The effects accepted for a unit and for a rig: of each name the latest still in force."""
         wanted = (
             select(AcceptedEffectTable, RunTable.uid)
             .join(RunTable)
@@ -78,8 +78,11 @@ class AcceptedEffects(Repository):
             .order_by(col(AcceptedEffectTable.id))
         )
         with self._database.reading() as session:
-            latest = {(row.unit, row.name): _accepted(row, run_id) for row, run_id in session.exec(wanted)}
-        return list(latest.values())
+            latest: dict[tuple[str | None, str], dict[tuple[str, datetime], list[AcceptedEffect]]] = {}
+            for row, run_id in session.exec(wanted):
+                together = latest.setdefault((row.unit, row.name), {})
+                together.setdefault((run_id, row.accepted_at), []).append(_accepted(row, run_id))
+        return [effect for together in latest.values() for effect in list(together.values())[-1]]
 
     def by_id(self, ids: Sequence[int]) -> list[AcceptedEffect]:
         """Effects that were accepted, by their ids, those that were taken back since among them."""

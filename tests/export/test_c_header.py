@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from compiled_header import COMPILER, applied, compiled, document, test_vectors
 from issued_documents import BIAS_G, MATRIX
+from scipy.interpolate import CubicSpline
 
 from calrig.calibration.regression import c_literal
 from calrig.calibration.regression.effect import ApplyError, Circumstances
@@ -210,3 +211,67 @@ def test_parameters_with_their_standard_errors_are_taken_too():
 def test_what_cannot_be_applied_in_flight_is_refused(changes, error, says):
     with pytest.raises(error, match=says):
         c_header(document(**changes))
+
+
+CURVE = (
+    "unnamed",
+    {
+        "size_deg": 2.1,
+        **{f"knot_{k}_deg": knot for k, knot in enumerate([-60.0, -31.0, 2.0, 4.5, 60.0])},
+        **{f"curve_{k}_deg": value for k, value in enumerate([0.0, 1.2, -0.9, -0.7, 0.4])},
+    },
+)
+OF_THE_ANGLE = [
+    ("stage_eccentricity", {"amplitude_deg": 0.97, "phase_deg": 64.0}),
+    ("stage_periodic", {"amplitude_deg": 1.74, "phase_deg": -155.0, "period_deg": 90.0}),
+    ("stage_periodic", {"amplitude_deg": 0.017, "phase_deg": 46.0, "period_deg": 7.2}),
+]
+
+
+@needs_a_compiler
+@pytest.mark.parametrize(
+    ("effects", "changes"),
+    [
+        (OF_THE_ANGLE, {"range_deg": [0.0, 358.2], "bias_deg": -0.064}),
+        (OF_THE_ANGLE, {"range_deg": [258.0, 617.0], "bias_deg": -259.3, "scale": 1.002}),
+        ([CURVE], {}),
+        ([CURVE, *OF_THE_ANGLE, OFFSET, CUBIC, WARM], {"bias_deg": 1.5}),
+    ],
+)
+def test_what_a_good_reference_makes_the_units_is_the_same_in_python_and_in_c(effects, changes, tmp_path):
+    calibration = document(effects, **changes)
+    theta_deg = np.linspace(*calibration["range_deg"], 241)
+    temperature_c = np.full(len(theta_deg), 24.3)
+    reading_deg = reading_of(calibration, theta_deg)
+
+    in_python_deg = Calibration(calibration).elevation_deg(reading_deg, temperature_c=temperature_c)
+    np.testing.assert_allclose(in_python_deg, theta_deg, atol=1e-6)
+    found_deg = applied(compiled(c_header(calibration), tmp_path), reading_deg, temperature_c)
+    np.testing.assert_allclose(found_deg, in_python_deg, atol=2e-4)
+
+
+def reading_of(calibration, theta_deg):
+    """(n,) readings by the sum of the effects, each by its formula as the contract has it, at 24.3 °C.
+
+    What is of the sensor turns no vector: the accelerometer errs at bias + scale·θ.
+    """
+    added_deg = np.zeros(len(theta_deg))
+    felt_deg = calibration["bias_deg"] + calibration["scale"] * theta_deg
+    s, c = np.sin(np.radians(felt_deg)), np.cos(np.radians(felt_deg))
+    for effect in calibration["effects"]:
+        p = effect["parameters"]
+        match effect["name"]:
+            case "stage_eccentricity":
+                added_deg += p["amplitude_deg"] * np.sin(np.radians(theta_deg + p["phase_deg"]))
+            case "stage_periodic":
+                phase = np.radians(360.0 * theta_deg / p["period_deg"] + p["phase_deg"])
+                added_deg += p["amplitude_deg"] * np.sin(phase)
+            case "nonlinearity":
+                added_deg += p["deg_per_deg2"] * theta_deg**2 + p["deg_per_deg3"] * theta_deg**3
+            case "accelerometer_offset":
+                y, z = s + p["y_mg"] / 1000.0, c + p["z_mg"] / 1000.0
+                added_deg += np.degrees(np.arctan2(y * c - z * s, y * s + z * c))
+            case "unnamed":
+                knots, values = ([p[f"{name}_{k}_deg"] for k in range(5)] for name in ("knot", "curve"))
+                added_deg += CubicSpline(knots, values, bc_type="natural")(theta_deg)
+    return felt_deg + added_deg

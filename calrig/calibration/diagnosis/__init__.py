@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from calrig.calibration.diagnosis.experiment_design import FollowUp, SequentialTest, design
-from calrig.calibration.diagnosis.report import PartialResidual, partial_residuals
+from calrig.calibration.diagnosis.report import (
+    DrawnResiduals,
+    PartialResidual,
+    drawn_residuals,
+    partial_residuals,
+)
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.tracing import diagnose, trace
 
 __all__ = [
+    "DrawnResiduals",
     "Findings",
     "FollowUp",
     "PartialResidual",
     "SequentialTest",
     "design",
     "diagnose",
+    "drawn_residuals",
     "partial_residuals",
     "trace",
 ]

@@ -302,6 +302,16 @@ class SelectedEffect:
             return "unnamed"
         return "ambiguous" if self.rivals else "named"
 
+    def is_one_curve(self, r: Responses) -> bool:
+        """Return whether all that it may be is one curve of the angle, the sensor's by a good reference.
+
+        A rival at another period, or with a corner, is another curve between the poses.
+        """
+        those = (self.candidate, *self.rivals)
+        is_smooth = all(c.is_smooth_of_sensor(r) for c in those)
+        is_periodic = any(c.effect.place for c in self.rivals)
+        return is_smooth and not is_periodic and not self.alike and self.candidate.changed is None
+
     def rows(self, chosen: npt.NDArray[np.intp]) -> SelectedEffect:
         """Return the same in some of the poses."""
         candidate = self.candidate.rows(chosen)

@@ -11,7 +11,7 @@ from itertools import accumulate, combinations
 import numpy as np
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
-from calrig.calibration.regression.effect import HIDDEN, Effect, Parameters, Shape
+from calrig.calibration.regression.effect import ELEVATION, HIDDEN, Effect, Parameters, Shape
 from calrig.calibration.regression.responses import Change, Responses
 from calrig.calibration.regression.run_changes import (
     MANY_CHANGES,
@@ -117,6 +117,18 @@ class Candidate:
     def changed(self) -> Change | None:
         """Between which runs, where it is only in the later ones."""
         return self.shape.changed
+
+    def is_of_sensor(self, r: Responses) -> bool:
+        """Return whether it is the sensor's only because the reference of these poses is good."""
+        return self.effect.is_of_sensor(self.covariate, reference_is_good=r.reference_is_good)
+
+    def is_smooth_of_sensor(self, r: Responses) -> bool:
+        """Return whether it is a smooth or periodic term of the angle that belongs to the sensor."""
+        if self.covariate != ELEVATION.name or not r.reference_is_good:
+            return False
+        return (
+            bool(self.shape.knots) if not self.named else self.is_of_sensor(r) or self.effect.scope == "unit"
+        )
 
     def is_distinct(self, r: Responses, other: Candidate) -> bool:
         """Whether both can be in one model: in other runs, or at places that these poses tell apart."""

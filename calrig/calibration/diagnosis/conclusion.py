@@ -14,9 +14,14 @@ from typing import Any, Literal
 
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
+from calrig.calibration.regression.effect import ELEVATION
 from calrig.calibration.uncertainty.verdict import SAME_EFFECT, between_runs, not_repeated_better
+from calrig.estimation.angle_text import angle_text
 
 Document = Mapping[str, Any]
+FAR_LARGER = 5.0
+"""The residual, times the standard uncertainty of the reference: more than a stage as stated can do."""
+BY_REFERENCE = "The reference is taken as good: periodic and smooth errors of the angle are the sensor's."
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +38,15 @@ class Conclusion:
     says: tuple[str, ...]
 
 
-def conclude(diagnosis: Document, decided: int | None = None) -> Conclusion:
+def conclude(
+    diagnosis: Document, decided: int | None = None, reference_std_deg: float | None = None
+) -> Conclusion:
     """Grade a diagnosis by its errors before and after, on held-out and on confirming poses.
 
     Args:
         diagnosis: CONTRACT section 5.
         decided: number of poses of the confirming run that served to decide; None without such a run.
+        reference_std_deg: stated standard uncertainty of the reference; None where nothing is stated.
     """
     fresh = diagnosis["confirmed_by"]
     confirmed = fresh is None or fresh["after_rms_deg"] < fresh["before_rms_deg"]
@@ -50,6 +58,9 @@ def conclude(diagnosis: Document, decided: int | None = None) -> Conclusion:
         says.append("Without cross-validation: the error on held-out poses is not known.")
     elif diagnosis["effects"]:
         says.append(_held_out(between, apart))
+    if diagnosis.get("reference") == "good" and any(map(_is_by_reference, diagnosis["effects"])):
+        says.append(BY_REFERENCE)
+    says += _reference_may_be_good(diagnosis, reference_std_deg)
     fell = all(after < before for before, after in filter(None, (between, apart)))
     if fresh is not None:
         says.append(_confirmation(fresh, decided, confirmed=confirmed))
@@ -58,6 +69,30 @@ def conclude(diagnosis: Document, decided: int | None = None) -> Conclusion:
     explained = (_times_pure_error(diagnosis) or 0.0) < SEVERAL
     good = diagnosis["verdict"] == "named" and fell and confirmed and explained
     return Conclusion("good" if good else "fair", tuple(says))
+
+
+def _reference_may_be_good(diagnosis: Document, std_deg: float | None) -> list[str]:
+    """Say that the sensor may err, if the residual is far larger than the reference's uncertainty."""
+    of_stage = (e for e in diagnosis["effects"] if _is_term_of_angle(e) and e["origin"] != "sensor")
+    if not std_deg or next(of_stage, None) is None:
+        return []
+    before_deg = diagnosis["base"]["fit_rms_deg"]
+    if before_deg < FAR_LARGER * std_deg:
+        return []
+    return [
+        f"The residual of bias and scale, {angle_text(before_deg)}, is {before_deg / std_deg:.0f} times the "
+        f"stated uncertainty of the reference, {angle_text(std_deg)}: if that holds, the sensor errs, not the "
+        "stage. Then diagnose with reference `good`."
+    ]
+
+
+def _is_term_of_angle(effect: Document) -> bool:
+    known = EFFECTS.get(effect["name"])
+    return known is not None and known.as_sensor is not None and effect["covariate"] == ELEVATION.name
+
+
+def _is_by_reference(effect: Document) -> bool:
+    return effect.get("origin", "") == "sensor" and EFFECTS[effect["name"]].origin != "sensor"
 
 
 def _answer(diagnosis: Document) -> str:
@@ -80,7 +115,9 @@ def _nothing(diagnosis: Document) -> str:
         return f"No effect found, and yet {_more_than_noise(diagnosis)}"
     if not_repeated_better(diagnosis):
         times = f"{noise['std_deg'] / noise['floor_deg']:.1f} times the noise within a dwell"
-        return f"No effect found: the residual is what poses repeat to, {_deg(noise['std_deg'])}, {times}"
+        return (
+            f"No effect found: the residual is what poses repeat to, {angle_text(noise['std_deg'])}, {times}"
+        )
     return "No effect found: the residual is consistent with noise"
 
 
@@ -97,7 +134,7 @@ def _more_than_noise(diagnosis: Document) -> str:
     noise = diagnosis["noise"]
     times = f"{_times_pure_error(diagnosis):.1f} times the pure error"
     return (
-        f"more is left than the noise of a pose: {_deg(noise['std_deg'])}, {times}, "
+        f"more is left than the noise of a pose: {angle_text(noise['std_deg'])}, {times}, "
         f"with a lag-1 correlation of {noise['lag1_correlation']:.2f}"
     )
 
@@ -133,7 +170,7 @@ def _held_out(between: tuple[float, float], apart: tuple[float, float] | None) -
 
 
 def _fall(errors: tuple[float, float]) -> str:
-    return f"{_deg(errors[0])} before and {_deg(errors[1])} after"
+    return f"{angle_text(errors[0])} before and {angle_text(errors[1])} after"
 
 
 def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
@@ -144,24 +181,32 @@ def _title(effect: Document) -> str:
     """Return the title of an effect for the middle of a sentence."""
     if effect["name"] == UNNAMED:
         return f"something that follows {covariate_of(effect['covariate']).title}{between_runs(effect)}"
-    title = EFFECTS[effect["name"]].title
-    return title[0].lower() + title[1:] + between_runs(effect)
+    title = EFFECTS[effect["name"]].title_of(effect.get("origin", ""))
+    return _lower(title) + between_runs(effect)
+
+
+def _lower(title: str) -> str:
+    return title[0].lower() + title[1:]
 
 
 def _suspects(effect: Document) -> str:
     others = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
-    names = " or ".join(name.replace("_", " ") for name in (effect["name"], *others))
+    names = " or ".join(_words(name, effect.get("origin", "")) for name in (effect["name"], *others))
     return names + between_runs(effect)
+
+
+def _words(name: str, origin: str) -> str:
+    """Return an effect's name in a sentence; its title where it is the sensor's by a good reference."""
+    known = EFFECTS.get(name)
+    if known is None or origin == known.origin or known.as_sensor is None or origin != "sensor":
+        return name.replace("_", " ")
+    return _lower(known.as_sensor.title)
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:
     poses = f" ({decided} {'pose' if decided == 1 else 'poses'} decided)" if decided else ""
     return (
         f"{'Confirmed' if confirmed else 'Not confirmed'} on poses of run {fresh['run_id']} that were not "
-        f"used for the decision{poses}: RMS {_deg(fresh['before_rms_deg'])} before and "
-        f"{_deg(fresh['after_rms_deg'])} after."
+        f"used for the decision{poses}: RMS {angle_text(fresh['before_rms_deg'])} before and "
+        f"{angle_text(fresh['after_rms_deg'])} after."
     )
-
-
-def _deg(value: float) -> str:
-    return f"{value:#.3g}°"

@@ -36,6 +36,7 @@ TURN_THE_UNIT = (
     "turn the unit by 90° or 180° on the stage and calibrate again: what turns with it is the sensor's, what "
     "stays is the stage's"
 )
+OTHER_PLACES = "take poses at other angles, unevenly spaced: what looks alike at these comes apart there"
 COOL_THE_UNIT = (
     "let the unit cool down and calibrate again: what comes back with the temperature is the unit's"
 )
@@ -84,9 +85,9 @@ class FollowUp:
 
 
 def ambiguous_of(findings: Findings) -> SelectedEffect | None:
-    """The first effect that is indistinguishable from its rivals; no run repeats what changed between two."""
+    """The first effect whose rivals a run may separate: no change between runs, and not one curve."""
     suspected = (f for f in findings.found if f.verdict == "ambiguous" and f.candidate.changed is None)
-    return next(suspected, None)
+    return next((f for f in suspected if not f.is_one_curve(findings.responses)), None)
 
 
 def design(
@@ -132,6 +133,8 @@ def design(
     names = trial.names
     if separation < LEAST_SEPARATION:
         by_hand = COOL_THE_UNIT if TEMPERATURE.name in trial.covariates else TURN_THE_UNIT
+        if findings.responses.reference_is_good and by_hand is TURN_THE_UNIT:
+            by_hand = OTHER_PLACES
         return (
             f"no run of {MOST_POSES} poses on this rig would separate {' from '.join(names)}: the best is "
             f"expected to set them apart by {separation:.1f} in −2 log likelihood, and less than "
@@ -152,9 +155,10 @@ class _Trial:
         suspects: Sequence[Candidate],
     ) -> None:
         self._runs = [list(run) for run in runs]
+        self._request = findings.responses.request
         self._noise: NoiseModel = findings.fitted.noise
         self._others, self._suspects = others, suspects
-        r = with_free_levels(responses_of(self._runs))
+        r = with_free_levels(responses_of(self._runs, request=self._request))
         self._sizes = [self._size(r, suspect) for suspect in suspects]
         self.pairs = list(combinations(range(len(suspects)), 2))
         last = self._runs[-1][-1]
@@ -191,7 +195,9 @@ class _Trial:
 
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
         """Of each pair, with the one true that is the harder to tell."""
-        r = with_free_levels(responses_of([*self._runs, self._imagined(elevations_deg, wait_s)]))
+        r = with_free_levels(
+            responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)
+        )
         others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
         suspects = [predicted(s, r) for s in self._suspects]
         found: dict[tuple[int, int], float] = {}
@@ -303,6 +309,7 @@ class SequentialTest:
 
     def __init__(self, runs: Sequence[Sequence[Pose]], findings: Findings) -> None:
         self._runs = [list(run) for run in runs]
+        self._request = findings.responses.request
         found = ambiguous_of(findings)
         self._suspects = () if found is None else (found.candidate, *found.rivals)
         self._others = [f.candidate for f in findings.found if f is not found]
@@ -311,7 +318,7 @@ class SequentialTest:
         """Whether one suspect leads all others by more than the test's bound, with the new poses taken in."""
         if len(poses) < FEWEST_POSES or len(self._suspects) < 2:
             return False
-        r = with_free_levels(responses_of([*self._runs, list(poses)]))
+        r = with_free_levels(responses_of([*self._runs, list(poses)], request=self._request))
         others = [again for other in self._others if (again := predicted(other, r)) is not None]
         criteria = sorted(
             fit(r, model_columns(r, [*others, suspect])).criterion

@@ -141,7 +141,7 @@ def confirm(
     Returns:
         None where no pose is left to confirm with, or an effect cannot show in these poses.
     """
-    r = with_free_levels(responses_of([*runs, fresh]))
+    r = with_free_levels(responses_of([*runs, fresh], request=findings.responses.request))
     before = len(r) - len(fresh)
     test = np.array([before + k for k in range(len(fresh)) if k not in set(deciding)], dtype=np.intp)
     effects = [predicted(f.candidate, r) for f in findings.found]

@@ -22,6 +22,7 @@ import numpy as np
 
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.channels import BoolArray
+from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
@@ -200,9 +201,9 @@ def warning_of(lack: LackOfFit, *, found: bool) -> str | None:
     rest = f"{'the effects' if found else 'bias and scale'} leave more than the noise of a pose"
     test = f"F = {lack.f:.3g} with {lack.freedom[0]:.0f} and {lack.freedom[1]:.0f} degrees of freedom"
     return (
-        f"lack of fit: {rest}: RMS {lack.residual.std_deg:#.3g}°, {lack.ratio:.1f} times the pure error of "
-        f"{lack.pure.std_deg:#.3g}° ({test}), correlated by {lack.lag1_correlation:.2f} from pose to pose; "
-        f"{_experiment(lack)}"
+        f"lack of fit: {rest}: RMS {angle_text(lack.residual.std_deg)}, {lack.ratio:.1f} times the "
+        f"pure error of {angle_text(lack.pure.std_deg)} ({test}), correlated by {lack.lag1_correlation:.2f} "
+        f"from pose to pose; {_experiment(lack)}"
     )
 
 

@@ -25,14 +25,19 @@ from calrig.calibration.diagnosis.candidates import Candidate, documented_forms,
 from calrig.calibration.diagnosis.selection import Findings, most_outliers, outlier
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
+from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
-from calrig.calibration.regression.channels import CHANNELS
+from calrig.calibration.regression.channels import CHANNELS, SCALE_UNIT_DEG
+from calrig.calibration.regression.effect import Scope
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
+from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
 from calrig.calibration.regression.run_changes import in_words
 from calrig.calibration.results.correction import numbers_of
 from calrig.estimation.angles import FloatArray
 
+ONE_CURVE = "with a good reference each is the sensor's, and its correction is the same curve"
+SCALE = "reading.scale"
 DRAWS = 100
 """Which tell an error to 7 % of itself."""
 
@@ -102,23 +107,36 @@ def _document(
 ) -> dict[str, Any]:
     effect = candidate.effect
     beta, covariance = fitted.beta[at], fitted.covariance[at, at]
+    of_sensor = effect.as_sensor if candidate.is_of_sensor(r) else None
     return {
         "name": candidate.name,
         "verdict": found.verdict,
-        "origin": effect.origin,
+        "origin": "sensor" if of_sensor is not None else effect.origin,
         "covariate": candidate.covariate,
         "parameters": effect.documented(candidate.shape, beta, covariance),
+        "corrects": _corrects(r, found, candidate),
         "p_value": found.p_value,
         "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": _evidence(r, found, candidate),
-        "remedy": effect.remedy,
+        "remedy": (of_sensor or effect).remedy,
         "considered": [
             {"name": label, "behind": behind, "why": _why(found, label, behind)}
             for label, behind in found.considered
         ],
         "accepted_at": None,
     }
+
+
+def _corrects(r: Responses, found: SelectedEffect, candidate: Candidate) -> Scope | None:
+    """Return whose correction it is once a person accepts it; None if it cannot be accepted."""
+    if candidate.changed is not None:
+        return None
+    if found.is_one_curve(r):
+        return "unit"
+    is_of_unit = candidate.named and candidate.is_of_sensor(r)
+    scope: Scope = "unit" if is_of_unit else candidate.effect.scope
+    return scope if found.verdict == "named" and scope != "run" else None
 
 
 def _why(found: SelectedEffect, label: str, behind: float) -> str:
@@ -162,7 +180,8 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
         if found.rivals:
             names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
             names = names.replace("_", " ")
-            said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
+            apart = ONE_CURVE if found.is_one_curve(r) else found.candidate.effect.apart
+            said.append(f"indistinguishable from {names} by these poses: {apart}")
         else:
             said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
     return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]
@@ -190,20 +209,53 @@ class PartialResidual:
     effect_deg: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnResiduals:
+    """What a diagnosis leaves of its poses, in the order measured, before and after.
+
+    Attributes:
+        theta_deg: (n,) elevation.
+        time_s: (n,) since the run began; None where it is not known of every pose.
+        before_deg: (n,) left by bias and scale.
+        after_deg: (n,) left by bias, scale and effects.
+        effects: the partial residual of each effect.
+    """
+
+    theta_deg: FloatArray
+    time_s: FloatArray | None
+    before_deg: FloatArray
+    after_deg: FloatArray
+    effects: list[PartialResidual]
+
+
 def partial_residuals(
-    runs: Sequence[Sequence[Pose]], effects: Sequence[Document], run_ids: Sequence[str] | None = None
+    runs: Sequence[Sequence[Pose]],
+    effects: Sequence[Document],
+    run_ids: Sequence[str] | None = None,
+    request: DiagnosisRequest = AS_USUAL,
 ) -> list[PartialResidual]:
-    """Return the partial residual of each effect of a diagnosis, from one fit of all of them together.
+    """Return the partial residual of each effect of a diagnosis; as `drawn_residuals`."""
+    return drawn_residuals(runs, effects, run_ids, request).effects
+
+
+def drawn_residuals(
+    runs: Sequence[Sequence[Pose]],
+    effects: Sequence[Document],
+    run_ids: Sequence[str] | None = None,
+    request: DiagnosisRequest = AS_USUAL,
+) -> DrawnResiduals:
+    """Return the residuals of a diagnosis, from one fit of all its effects together.
 
     Args:
         runs: the poses that were diagnosed, as `diagnose` took them.
         effects: the `effects` of the document; what was scanned for is taken from it, not searched again.
         run_ids: of the runs, as the document has them where something changed between two.
+        request: of the diagnosis.
 
     Raises:
         DiagnosisError: the poses cannot show an effect (any more).
     """
-    r = responses_of(runs, run_ids)
+    r = responses_of(runs, run_ids, request)
     chosen = _chosen(r, [_forms(r, effect) for effect in effects])
     for _ in range(most_outliers(len(r))):
         model = fitted_model(r, chosen)
@@ -211,12 +263,22 @@ def partial_residuals(
             others = np.delete(np.arange(len(r)), apart)
             r, chosen = r.rows(others), [c.rows(others) for c in chosen]
     fitted = fitted_model(r, chosen).fitted
+    reading_deg = r.theta_deg + r.values[:, 0]
+    line = fit_line(r.theta_deg, reading_deg)
+    before_deg = residuals_deg(r.theta_deg, reading_deg, line.bias_deg, line.scale)
+    after_deg = fitted.residuals[:, 0] / fitted_scale(r, fitted.beta)
     partial = []
     for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
         at = _column(r, candidate.covariate)
         residual_deg = fitted.residuals[:, 0] + own
         partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, own))
-    return partial
+    return DrawnResiduals(r.theta_deg, r.time_s, before_deg, after_deg, partial)
+
+
+def fitted_scale(r: Responses, beta: FloatArray) -> float:
+    """Return the scale of the reading in a fit's coefficients (p,); 1 where it has none."""
+    names = r.base_names
+    return 1.0 + float(beta[names.index(SCALE)]) / SCALE_UNIT_DEG if SCALE in names else 1.0
 
 
 def _chosen(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:

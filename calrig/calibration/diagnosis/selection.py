@@ -47,11 +47,12 @@ from calrig.calibration.diagnosis.significance_test import (
     gate,
     model_of,
 )
-from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, TIMES, natural_spline
+from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, TIMES
 from calrig.calibration.regression.effect import APPROACH, ELEVATION
 from calrig.calibration.regression.noise_model import Fit, NoiseModel, fit, noise_of
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.run_changes import is_level, with_free_levels
+from calrig.calibration.regression.spline import natural_spline
 from calrig.estimation.angles import FloatArray, robust_std
 
 OUTLIER_STD = 12.0

@@ -221,7 +221,7 @@ class Curve:
         turns = [
             at
             for member, at in zip(self._members, self._member_at, strict=True)
-            if member.effect.origin in TURNS_THE_SENSOR
+            if member.effect.origin in TURNS_THE_SENSOR and not member.is_of_sensor(self._r)
         ]
         felt[:, bound] = self._straight[:, 0, bound]
         for at in turns:

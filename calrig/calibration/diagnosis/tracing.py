@@ -24,14 +24,16 @@ from calrig.calibration.diagnosis.held_out import (
     worse,
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
-from calrig.calibration.diagnosis.report import effect_documents, model_words
+from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, model_words
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.line import fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
-from calrig.calibration.regression.channels import ANGLE, SCALE_UNIT_DEG
-from calrig.calibration.regression.responses import Responses, names_of, responses_of
+from calrig.calibration.regression.channels import ANGLE
+from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
+from calrig.calibration.regression.responses import names_of, responses_of
+from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 BOOTSTRAPS = 999
@@ -65,6 +67,7 @@ def diagnose(
     runs: Sequence[Sequence[Pose]],
     run_ids: Sequence[str] | None = None,
     *,
+    request: DiagnosisRequest = AS_USUAL,
     seed: int = 0,
     bootstraps: int = BOOTSTRAPS,
     cross_fit: bool = True,
@@ -75,6 +78,7 @@ def diagnose(
     Args:
         runs: the poses of one or several runs of a unit, in the order measured, none excluded.
         run_ids: what the runs are called, for what changed between two of them; else counted from 0.
+        request: whether the reference may err, and known periods.
         seed: of the bootstrap: the same poses and seed give the same diagnosis.
         bootstraps: of each step of the search.
         cross_fit: whether the errors before and after are measured on held-out poses.
@@ -84,7 +88,7 @@ def diagnose(
         DiagnosisError: the poses cannot be diagnosed; the message says why.
     """
     whole, incomplete = complete(runs)
-    r = responses_of(whole, names_of(runs, whole, run_ids))
+    r = responses_of(whole, names_of(runs, whole, run_ids), request)
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = search(r, candidates, rng, bootstraps=bootstraps)
@@ -133,9 +137,9 @@ def _unseen_by_gravity(findings: Findings) -> str | None:
     if reading_deg <= UNSEEN * angle_deg:
         return None
     return (
-        f"the reading strays by {reading_deg:#.2g}° (RMS) where the accelerometer's angle strays by "
-        f"{angle_deg:#.2g}°: gravity does not see what moves it, so look at what filters the reading, or "
-        "leave out the accelerometer's columns where they are of another sensor"
+        f"the reading strays by {angle_text(reading_deg, 2)} (RMS) where the accelerometer's angle "
+        f"strays by {angle_text(angle_deg, 2)}: gravity does not see what moves it, so look at "
+        "what filters the reading, or leave out the accelerometer's columns where they are of another sensor"
     )
 
 
@@ -171,6 +175,8 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     blocked_deg = (rms(worst.base_deg), rms(worst.final_deg)) if (worst := worse(blocks)) else (None, None)
     return {
         "runs": list(run_ids),
+        "reference": r.request.reference,
+        "known_periods_deg": list(r.known_periods_deg),
         "n_poses": len(r),
         "held_out": {
             "how": "not measured" if held_out is None else _how(held_out, blocks),
@@ -219,14 +225,8 @@ def _noise(lack: LackOfFit) -> dict[str, Any]:
 
 def _after_deg(findings: Findings) -> FloatArray:
     """Return (n,) what the final model leaves of the readings, in degrees of elevation."""
-    return np.asarray(findings.fitted.residuals[:, 0] / _scale(findings.responses, findings))
-
-
-def _scale(r: Responses, findings: Findings) -> float:
-    names = r.base_names
-    if "reading.scale" not in names:
-        return 1.0
-    return 1.0 + float(findings.fitted.beta[names.index("reading.scale")]) / SCALE_UNIT_DEG
+    scale = fitted_scale(findings.responses, findings.fitted.beta)
+    return np.asarray(findings.fitted.residuals[:, 0] / scale)
 
 
 def _lag1(residual: FloatArray, rounding_deg: float) -> float:
@@ -238,6 +238,7 @@ def trace(
     runs: Sequence[Sequence[Pose]],
     run_ids: Sequence[str],
     *,
+    request: DiagnosisRequest = AS_USUAL,
     plan: dict[str, Any] | None = None,
     limits_deg: tuple[float, float] | None = None,
     deciding: Sequence[int] | None = None,
@@ -250,6 +251,7 @@ def trace(
     Args:
         runs: the poses of one or several runs of a unit.
         run_ids: their ids, in the same order.
+        request: whether the reference may err, and known periods.
         plan: of the latest run, for the follow-up to keep its settings.
         limits_deg: soft limits of the rig; the range of the poses where there is none.
         deciding: of the latest run, the poses that serve to decide; the others confirm.
@@ -261,7 +263,7 @@ def trace(
     used = [list(run) for run in runs]
     if deciding is not None:
         used[-1] = [used[-1][k] for k in deciding]
-    diagnosis = diagnose(used, run_ids, progress=progress)
+    diagnosis = diagnose(used, run_ids, request=request, progress=progress)
     found = document(diagnosis, run_ids)
     if deciding is not None:
         confirmation = confirm(runs[:-1], runs[-1], deciding, diagnosis.findings)
@@ -280,4 +282,4 @@ def trace(
         else:
             found["follow_up"] = designed.document(plan or {})
     decided = None if deciding is None else len(deciding)
-    return {**found, **asdict(conclude(found, decided))}
+    return {**found, **asdict(conclude(found, decided, request.reference_std_deg))}

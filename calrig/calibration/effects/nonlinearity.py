@@ -32,7 +32,7 @@ def _in_c(p: Parameters) -> str:
 
 EFFECT = Effect(
     name="nonlinearity",
-    title="Nonlinearity of the accelerometer",
+    title="Nonlinearity of the sensor",
     origin="sensor",
     scope="unit",
     covariate=ELEVATION,

@@ -6,12 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.regression.effect import ELEVATION, Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.regression.effect import (
+    ELEVATION,
+    Effect,
+    Parameter,
+    Parameters,
+    SensorTerm,
+    Shape,
+)
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
     THE_TURN,
     amplitude_and_phase,
     amplitude_within,
+    c_wave,
     sin_cos,
     turned,
     turns,
@@ -39,9 +47,12 @@ EFFECT = Effect(
     formula="amplitude_deg·sin(θ + phase_deg)",
     forms=_forms,
     on_reading_deg=lambda p: wave_deg(p, p.theta_deg / 360.0),
-    in_c=NotInFlight("it belongs to the rig's stage"),
+    in_c=lambda p: c_wave(p, 1.0),
     apart="the gyro feels it and |accelerometer| does not; a unit turned by 90° on the stage keeps it",
     remedy="re-centre the scale or the mount on the axis, or correct by the rig error map",
     reported=amplitude_and_phase,
     possible=amplitude_within(LARGEST_AMPLITUDE_DEG),
+    as_sensor=SensorTerm(
+        "Eccentricity of the sensor", "correct by the unit's calibration; centre the magnet or the disc"
+    ),
 )

@@ -17,14 +17,14 @@ from calrig.calibration.regression.effect import (
     ELEVATION,
     Applied,
     Effect,
-    NotInFlight,
     Parameter,
     Parameters,
+    SensorTerm,
     Shape,
 )
 from calrig.calibration.regression.motion import kept_in_mean
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import THE_TURN, amplitude_and_phase, wave_deg
+from calrig.calibration.regression.terms import THE_TURN, amplitude_and_phase, c_wave, wave_deg
 from calrig.estimation.angles import FloatArray
 
 BIN_DEG = 0.05
@@ -183,6 +183,10 @@ def _possible(shape: Shape, beta: FloatArray) -> bool:
     return bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"])
 
 
+def _in_c(p: Parameters) -> str:
+    return c_wave(p, 360.0 / p["period_deg"])
+
+
 EFFECT = Effect(
     name="stage_periodic",
     title="Periodic error of the stage",
@@ -198,7 +202,7 @@ EFFECT = Effect(
     forms=_forms,
     scan=_scan,
     on_reading_deg=_on_reading_deg,
-    in_c=NotInFlight("it belongs to the rig's stage"),
+    in_c=_in_c,
     apart="its period: jittered elevations tell the periods apart that an even spacing confuses",
     remedy="correct by the rig error map; look at the worm, its preload, the motor's steps",
     reported=amplitude_and_phase,
@@ -207,4 +211,8 @@ EFFECT = Effect(
     settled=_settled,
     look_alikes=_look_alikes,
     distinct=_apart,
+    as_sensor=SensorTerm(
+        "Periodic error of the sensor",
+        "correct by the unit's calibration; look at how the sensor is centred, its channels and its poles",
+    ),
 )

@@ -9,23 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
 from calrig.calibration.regression.channels import ANGLE, MOVE, READING, BoolArray
 from calrig.calibration.regression.effect import (
-    Applied,
     ApplyError,
     Covariate,
     Documents,
     Effect,
-    NotInFlight,
     Parameter,
     Parameters,
+    SensorTerm,
     Shape,
 )
 from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.spline import (
+    FEWEST_KNOTS,
+    SplineCurve,
+    curve_document,
+    knots_of,
+    natural_spline,
+)
 from calrig.calibration.regression.terms import amplitude_and_phase, size_deg, tilted, turned, turns
 from calrig.estimation.angles import FloatArray
 
@@ -238,17 +245,18 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 
 def _of_elevation(r: Responses) -> Iterator[Shape]:
     """Curves of the elevation, the same or not from both sides, and those that the stage itself makes."""
-    yield from _of_one(r.theta_deg, "target_deg", tilted)
+    yield from _of_one(r.theta_deg, "target_deg", tilted, has_knots=r.reference_is_good)
     for count in MORE_KNOTS:
         if len(r) >= POSES_A_KNOT * count and len(np.unique(r.theta_deg)) > count + 1:
-            yield _shape(tilted(natural_spline(r.theta_deg, count)), "target_deg", f"smooth {count}")
+            yield _smooth(r.theta_deg, count, "target_deg", tilted, has_knots=r.reference_is_good)
     if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
         for count in KNOTS:
             by_side = (natural_spline(r.theta_deg, count).T * r.approach).T
             shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
             yield replace(shape, beside=("approach",))
     if MOVE in r.channels:  # without a gyro to feel it, a stage's shape is the same thing again
-        stage = _of_one(r.theta_deg, "target_deg", lambda f: turned(r, f))
+        of_stage = partial(turned, r)
+        stage = _of_one(r.theta_deg, "target_deg", of_stage, has_knots=r.reference_is_good)
         yield from (replace(shape, form=f"{shape.form}, of the stage") for shape in stage)
 
 
@@ -265,9 +273,15 @@ def _shape(
     )
 
 
-def _of_one(z: FloatArray, name: str, seen_by: Shares) -> Iterator[Shape]:
+def _smooth(z: FloatArray, pieces: int, name: str, seen_by: Shares, *, has_knots: bool = False) -> Shape:
+    """Return a smooth curve; with its knots where a document is to have them."""
+    shape = _shape(seen_by(natural_spline(z, pieces)), name, f"smooth {pieces}")
+    return replace(shape, knots=tuple(knots_of(z, pieces).tolist())) if has_knots else shape
+
+
+def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = False) -> Iterator[Shape]:
     for count in _counts(z):
-        yield _shape(seen_by(natural_spline(z, count)), name, f"smooth {count}")
+        yield _smooth(z, count, name, seen_by, has_knots=has_knots)
     if len(np.unique(z)) < FEWEST_VALUES:
         return
     for place in np.unique(np.quantile(z, PLACES)):
@@ -309,29 +323,12 @@ def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
         yield _shape(tilted(waves), "time_s", "cycle", {"period": float(1.0 / frequency)})
 
 
-def natural_spline(z: FloatArray, count: int) -> FloatArray:
-    """Return (n, ≤ count) basis of the natural cubic splines with knots at quantiles, the constant left out.
-
-    Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, equations 5.4 and 5.5.
-    """
-    u = (z - z.min()) / np.ptp(z)
-    knots = np.unique(np.quantile(u, np.linspace(0.0, 1.0, count + 1)))
-    if len(knots) < 3:
-        return np.asarray(u[:, None], dtype=np.float64)
-    last = knots[-1]
-
-    def bend(k: int) -> FloatArray:
-        cubes = np.maximum(u - knots[k], 0.0) ** 3 - np.maximum(u - last, 0.0) ** 3
-        return np.asarray(cubes / (last - knots[k]), dtype=np.float64)
-
-    straightened = [bend(k) - bend(len(knots) - 2) for k in range(len(knots) - 2)]
-    return np.asarray(np.column_stack([u, *straightened]), dtype=np.float64)
-
-
 def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
     found: Documents = {"size_deg": size_deg(shape, beta, covariance), "period": None, "at": None}
     if shape.form == CIRCLE:
         found["at"] = amplitude_and_phase(shape, beta[::-1], covariance[::-1, ::-1])["phase_deg"]
+    if len(shape.knots) >= FEWEST_KNOTS:
+        found |= curve_document(np.array(shape.knots), beta, covariance)
     return found
 
 
@@ -350,8 +347,11 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
     return said
 
 
-def _on_reading_deg(p: Applied) -> FloatArray:
-    raise ApplyError(f"the effect {p.effect!r} has no formula of its own that could be applied")
+def _curve(parameters: Parameters) -> SplineCurve:
+    curve = SplineCurve.of(parameters)
+    if curve is None:
+        raise ApplyError("the effect 'unnamed' has no formula of its own that could be applied")
+    return curve
 
 
 EFFECT = Effect(
@@ -366,12 +366,16 @@ EFFECT = Effect(
         Parameter("at", "At", None),
         Parameter("lag_s", "Delay", "s"),
     ),
-    formula="a smooth curve, kink, step or cycle that no effect of the catalogue explains",
+    formula="a smooth curve, kink, step or cycle that no effect of the catalogue explains; of the angle, "
+    "with a good reference, the natural cubic spline with the values curve_K_deg at θ = knot_K_deg",
     forms=_forms,
-    on_reading_deg=_on_reading_deg,
-    in_c=NotInFlight("it has no formula of its own that a header could hold"),
+    on_reading_deg=lambda p: _curve(p.parameters)(p.theta_deg),
+    in_c=lambda parameters: _curve(parameters).in_c(),
     reported=_reported,
     evidence=_evidence,
     apart="what the column stands for, once somebody has looked",
     remedy="look at what changes with this column",
+    as_sensor=SensorTerm(
+        "Nonlinearity without a name", "correct by the unit's calibration, which has it as a curve"
+    ),
 )

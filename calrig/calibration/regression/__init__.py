@@ -14,14 +14,24 @@ from calrig.calibration.regression.effect import (
     Scope,
     VectorInC,
 )
+from calrig.calibration.regression.request import (
+    LONGEST_PERIOD_DEG,
+    MOST_PERIODS,
+    AssumedReference,
+    DiagnosisRequest,
+)
 from calrig.calibration.regression.terms import MG, c_literal
 
 __all__ = [
+    "LONGEST_PERIOD_DEG",
     "MG",
+    "MOST_PERIODS",
     "ORIGINS",
     "TEMPERATURE",
     "ApplyError",
+    "AssumedReference",
     "Circumstances",
+    "DiagnosisRequest",
     "Effect",
     "NotInFlight",
     "Origin",

@@ -25,6 +25,8 @@ VectorError = tuple[FloatArray | float, FloatArray | float]
 
 TURNS_THE_SENSOR = frozenset({"stage", "mounting", "environment"})
 """Origins of effects that turn the sensor itself: its axes err at the elevation that they leave."""
+OF_SENSOR = "of_sensor"
+"""Set among the parameters of an applied effect that is the sensor's own by a good reference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +147,7 @@ class Shape:
         beside: covariates that effects in the model must follow before it is offered.
         changed: between which runs, where it is only in the later ones.
         alone: not offered with its effect's companions: of places close together few stand for all.
+        knots: (k,) of a curve of the angle, from which a document's values of it can be evaluated.
     """
 
     shares: Mapping[str, FloatArray]
@@ -164,6 +167,7 @@ class Shape:
     beside: tuple[str, ...] = ()
     changed: Change | None = None
     alone: bool = False
+    knots: tuple[float, ...] = ()
 
     @property
     def stated(self) -> frozenset[str]:
@@ -249,6 +253,14 @@ class NotInFlight:
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class SensorTerm:
+    """A periodic or smooth term of the angle: what it is called, and what to do, if the reference is good."""
+
+    title: str
+    remedy: str
+
+
 def linear(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
     """Coefficients as they are, with their standard errors."""
     return {
@@ -286,6 +298,7 @@ class Effect:
         possible: whether coefficients are any that the physics allows.
         follows: offered by itself only once this effect is in the model.
         together_with: effects that it is offered together with, as one: each alone may look like noise.
+        as_sensor: of a periodic or smooth term of the angle: the unit's own if the reference is good.
     """
 
     name: str
@@ -313,6 +326,7 @@ class Effect:
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
     follows: str | None = None
     together_with: tuple[str, ...] = ()
+    as_sensor: SensorTerm | None = None
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
         """Goes to another process by its name: the catalogue there has it."""
@@ -326,8 +340,21 @@ class Effect:
             raise EffectError(f"the effect {self.name!r} lacks its on_reading_deg, or its on_vector_g")
         if isinstance(self.in_c, NotInFlight) and not self.in_c.reason:
             raise EffectError(f"the effect {self.name!r} lacks the reason why it is not applied in flight")
-        if self.scope != "unit" and not isinstance(self.in_c, NotInFlight):
+        if self.scope != "unit" and self.as_sensor is None and not isinstance(self.in_c, NotInFlight):
             raise EffectError(f"the effect {self.name!r} has a C term, and does not stay with the unit")
+
+    def is_of_sensor(self, covariate: str, *, reference_is_good: bool) -> bool:
+        """Return whether it is the sensor's only because the reference is good: a term of the angle."""
+        return reference_is_good and self.as_sensor is not None and covariate == ELEVATION.name
+
+    def title_of(self, origin: str) -> str:
+        """Return its title where it is of an origin: a term of the angle has another one of the sensor."""
+        of_sensor = self.as_sensor is not None and origin == "sensor" and self.origin != "sensor"
+        return self.as_sensor.title if of_sensor and self.as_sensor else self.title
+
+    def turns_the_sensor(self, parameters: Parameters) -> bool:
+        """Return whether an applied effect turns the sensor itself."""
+        return self.origin in TURNS_THE_SENSOR and not parameters.get(OF_SENSOR)
 
     def shapes(self, r: Responses) -> Iterator[Shape]:
         """Return every form at every place that the search considers in these poses."""

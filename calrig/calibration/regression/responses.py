@@ -41,6 +41,7 @@ from calrig.calibration.regression.motion import (
     stretches_deg,
     travel_deg,
 )
+from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.estimation.angles import FloatArray
 
 FEWEST_POSES = 8
@@ -92,6 +93,8 @@ class Responses:
         rounding: (J,) what arithmetic alone may leave of each response: below it there is nothing to judge.
         across_g: (n,) acceleration along the stage's axis, where the accelerometer has a third one. It says
             how far askew a unit sits, as each does: no response, for it would name effects that are none.
+        known_periods_deg: of the axis, that somebody knows (`DiagnosisRequest`).
+        reference_is_good: whether θ is free of error, so that curves of it are the sensor's.
         arc_deg: that the elevations span.
     """
 
@@ -117,6 +120,8 @@ class Responses:
     rounding: FloatArray
     warnings: tuple[str, ...] = field(default=())
     across_g: FloatArray | None = None
+    known_periods_deg: tuple[float, ...] = ()
+    reference_is_good: bool = False
     arc_deg: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -124,6 +129,11 @@ class Responses:
 
     def __len__(self) -> int:
         return len(self.theta_deg)
+
+    @property
+    def request(self) -> DiagnosisRequest:
+        """What a diagnosis of them assumes."""
+        return DiagnosisRequest("good" if self.reference_is_good else "stage", self.known_periods_deg)
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> Responses:
         """Some of the poses, with what their neighbours said of moves and approach."""
@@ -186,13 +196,18 @@ class Responses:
         return change
 
 
-def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None = None) -> Responses:
+def responses_of(
+    runs: Sequence[Sequence[Pose]],
+    run_ids: Sequence[str] | None = None,
+    request: DiagnosisRequest = AS_USUAL,
+) -> Responses:
     """Return the poses of one or several runs of a unit as responses.
 
     Args:
         runs: each run's poses in the order measured (none excluded). All have one bias; |accelerometer| one
             a run, since gains that moved alike leave no trace in the angle.
         run_ids: what the runs are called, in the same order; counted from 0 where they have no names.
+        request: what a diagnosis is to assume.
 
     Raises:
         DiagnosisError: too few poses, or readings that cannot be degrees of elevation.
@@ -245,6 +260,8 @@ def responses_of(runs: Sequence[Sequence[Pose]], run_ids: Sequence[str] | None =
         rounding=len(poses) * float(np.finfo(np.float64).eps) * np.array(table.sizes),
         warnings=(*warnings, *said),
         across_g=column_of(poses, "accel_x_g"),
+        known_periods_deg=request.periods_deg,
+        reference_is_good=request.is_good,
     )
 
 

@@ -187,6 +187,13 @@ def c_warmer(p: Parameters) -> str:
     return f"(temperature_c - {c_literal(p['reference_c'])})"
 
 
+def c_wave(p: Parameters, order: float) -> str:
+    """Return the C expression of amplitude·sin(order·θ + phase)."""
+    amplitude, phase = (p.get(name, 0.0) for name in ("amplitude_deg", "phase_deg"))
+    radians = f"theta * {c_literal(math.radians(order))} + {c_literal(math.radians(phase))}"
+    return f"{c_literal(amplitude)} * sinf({radians})"
+
+
 def size_deg(shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, float | None]:
     """Return peak to peak of what a shape adds to the reading, over its poses, with its standard error."""
     columns = shape.shares[READING].reshape(-1, len(beta))

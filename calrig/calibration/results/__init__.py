@@ -12,6 +12,8 @@ from calrig.calibration.results.correction import (
     effects_on_reading_deg,
     felt_elevation_deg,
     numbers_of,
+    own_effect,
+    reference_temperature_c,
     spans_more_than_a_turn,
 )
 from calrig.calibration.results.pose_errors import (
@@ -38,7 +40,9 @@ __all__ = [
     "effects_on_reading_deg",
     "felt_elevation_deg",
     "numbers_of",
+    "own_effect",
     "raw_error_deg",
+    "reference_temperature_c",
     "residuals",
     "spans_more_than_a_turn",
 ]

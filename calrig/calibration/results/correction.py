@@ -19,8 +19,8 @@ from calrig.calibration.effects.unnamed import TIMES
 from calrig.calibration.line import MIN_SCALE, Line, fit_line
 from calrig.calibration.regression.effect import (
     ELEVATION,
+    OF_SENSOR,
     TEMPERATURE,
-    TURNS_THE_SENSOR,
     Applied,
     ApplyError,
     Circumstances,
@@ -29,10 +29,21 @@ from calrig.calibration.regression.effect import (
     Parameters,
     turned_vector,
 )
+from calrig.calibration.regression.spline import SplineCurve
 from calrig.estimation.angles import FloatArray, elevation_deg, wrap_deg
 
 AppliedEffect = tuple[str, Parameters]
 """An accepted effect: its name and the values of its parameters."""
+
+
+def own_effect(name: str, parameters: Mapping[str, Any]) -> AppliedEffect:
+    """Return an effect of the unit itself, as its document or its acceptance has it.
+
+    A term of the angle that is the stage's elsewhere was accepted with a good reference: it turns no sensor.
+    """
+    numbers = numbers_of(parameters)
+    return name, {**numbers, OF_SENSOR: 1.0} if effect_of(name).scope != "unit" else numbers
+
 
 ITERATIONS = 60
 CONVERGED_DEG = 1e-10
@@ -74,7 +85,7 @@ def effects_on_reading_deg(
         if effect.on_reading_deg is not None:
             added = effect.on_reading_deg(Applied(name, parameters, theta_deg, given or Circumstances()))
             total = total + added
-            if effect.origin in TURNS_THE_SENSOR:
+            if effect.turns_the_sensor(parameters):
                 felt_deg = felt_deg + added
         if effect.on_vector_g is not None:
             on_axes.append((effect, parameters))
@@ -205,20 +216,34 @@ def effects_at_rest(document: Mapping[str, Any]) -> tuple[list[AppliedEffect], l
     left_out: list[str] = []
     for effect in document["effects"]:
         name = str(effect["name"])
-        if name not in EFFECTS or name == UNNAMED:
+        if name not in EFFECTS or (
+            name == UNNAMED and SplineCurve.of(numbers_of(effect["parameters"])) is None
+        ):
             raise ApplyError(f"the effect {name!r} has no formula of its own that could be applied")
         if isinstance(effect_of(name).in_c, NotInFlight):
             left_out.append(name)
         else:
-            taken.append((name, numbers_of(effect["parameters"])))
+            taken.append(own_effect(name, effect["parameters"]))
     return taken, left_out
 
 
 def columns_followed(effects: Sequence[AppliedEffect]) -> list[str]:
     """Return names of the columns beside the elevation that effects of a unit at rest are functions of."""
-    covariates = [effect_of(name).covariate for name, _ in effects]
+    covariates = [effect_of(name).covariate for name, _ in effects if name != UNNAMED]  # that is a curve of θ
     followed = [one.name for one in covariates if one is not ELEVATION]
     return sorted({column for name in followed for column in name.split(TIMES)})
+
+
+def reference_temperature_c(document: Mapping[str, Any], effects: Sequence[AppliedEffect]) -> float | None:
+    """Return the temperature that a table without temperatures is for.
+
+    That of the effects where they have one, their mean where they have several; else the middle of the
+    calibration's. None where no temperature is known.
+    """
+    stated = {parameters["reference_c"] for _, parameters in effects if "reference_c" in parameters}
+    warmth = document.get("temperature_c") or {}
+    known = sorted(stated) or [value for end in ("min", "max") if (value := warmth.get(end)) is not None]
+    return math.fsum(known) / len(known) if known else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ import numpy as np
 
 from calrig.calibration.uncertainty.budget import reference_part
 from calrig.calibration.uncertainty.coverage import COVERAGE, coverage_factor
+from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 from calrig.model.result import Reference
 from calrig.model.verdict import Answer, Figures, Interval, Limit, VerdictFigures
@@ -25,7 +26,7 @@ from calrig.model.verdict import Answer, Figures, Interval, Limit, VerdictFigure
 
 def deg(value: float) -> str:
     """Format an angle with two significant digits and the degree sign."""
-    return f"{significant(value)}°"
+    return angle_text(value, 2)
 
 
 def significant(value: float) -> str:

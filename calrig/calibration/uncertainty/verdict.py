@@ -24,6 +24,7 @@ from calrig.calibration.uncertainty.conformity import (
 from calrig.calibration.uncertainty.coverage import coverage_factor
 from calrig.calibration.uncertainty.doubts import STAYS_A_DRAFT, doubts_of
 from calrig.calibration.uncertainty.risk import probability_of_conformity
+from calrig.estimation.angle_text import angle_text
 from calrig.model.result import RangeErrors, Reference, Result
 from calrig.model.verdict import Answer, Figures, Interval, Left, Limit, Verdict, VerdictFigures
 
@@ -253,8 +254,9 @@ def not_repeated_better(diagnosis: Document) -> list[str]:
         return []
     # three significant digits, as in the sentences of the diagnosis
     return [
-        f"Revisited poses repeat no better than {noise['pure_error_deg']:#.3g}°, where the noise within a "
-        f"dwell is {floor_deg:#.3g}°: the rig does not return to one place, or the filter has not settled."
+        f"Revisited poses repeat no better than {angle_text(noise['pure_error_deg'])}, where the noise "
+        f"within a dwell is {angle_text(floor_deg)}: the rig does not return to one place, or the filter has "
+        "not settled."
     ]
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from calrig.calibration.effects import effect_of
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ApplyError
-from calrig.calibration.results import build_result, numbers_of
+from calrig.calibration.results import build_result, numbers_of, own_effect
 from calrig.calibration.separation import dial_of, with_map
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
@@ -175,7 +175,12 @@ def differences(
     if in_force is not None and in_force.covers(dial_of(counted)[0]).all():
         counted = with_map(counted, in_force)
         accepted = [effect for effect in accepted if effect.unit is not None]  # the rig's are in the map
-    applied = [(effect.name, numbers_of(effect.parameters)) for effect in accepted]
+    applied = [
+        own_effect(effect.name, effect.parameters)
+        if effect.unit is not None
+        else (effect.name, numbers_of(effect.parameters))
+        for effect in accepted
+    ]
     with np.errstate(all="ignore"):
         result = build_result(counted, None, applied)
         if result.scale is None:

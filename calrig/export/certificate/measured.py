@@ -16,8 +16,14 @@ import numpy as np
 from calrig.calibration.effects import effect_of
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
-from calrig.calibration.regression import ORIGINS, ApplyError
-from calrig.calibration.results import AppliedEffect, corrected_residuals_deg, numbers_of, raw_error_deg
+from calrig.calibration.regression import ORIGINS, ApplyError, Origin
+from calrig.calibration.results import (
+    AppliedEffect,
+    corrected_residuals_deg,
+    numbers_of,
+    own_effect,
+    raw_error_deg,
+)
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_document import line_of
 from calrig.export.certificate.content import (
@@ -126,13 +132,20 @@ def effects_found(
         effects: `name` and `parameters` of each.
         stds: standard errors by effect and parameter, as far as they are known.
     """
-    return tuple(_effect_found(one["name"], one["parameters"], stds or {}) for one in effects)
+    return tuple(
+        _effect_found(one["name"], one.get("origin"), one["parameters"], stds or {}) for one in effects
+    )
 
 
 def _effect_found(
-    name: str, parameters: Mapping[str, float | None], stds: Mapping[tuple[str, str], float]
+    name: str,
+    origin: Origin | None,
+    parameters: Mapping[str, float | None],
+    stds: Mapping[tuple[str, str], float],
 ) -> EffectFound:
     effect = effect_of(name)
+    if origin is None:  # of a unit's document, where a term of the angle is the sensor's
+        origin = effect.origin if effect.scope == "unit" else "sensor"
     known = {parameter.name: parameter for parameter in effect.parameters}
     figures = []
     for key, value in parameters.items():
@@ -144,11 +157,11 @@ def _effect_found(
         )
         title = key if parameter is None else f"{parameter.title} ({key})"
         figures.append(Quantity(key, title, value, unit, std=stds.get((name, key))))
-    return EffectFound(name, effect.title, effect.formula, ORIGINS[effect.origin], tuple(figures))
+    return EffectFound(name, effect.title_of(origin), effect.formula, ORIGINS[origin], tuple(figures))
 
 
 def _own(document: Document) -> list[AppliedEffect]:
-    return [(effect["name"], numbers_of(effect["parameters"])) for effect in document["effects"]]
+    return [own_effect(effect["name"], effect["parameters"]) for effect in document["effects"]]
 
 
 def _of_stage(effects: Sequence[AcceptedEffect]) -> list[AppliedEffect]:

@@ -1,0 +1,59 @@
+"""A natural cubic spline as a table of knots is the curve that was fitted by its basis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from calrig.calibration.regression.spline import SplineCurve, curve_document, knots_of, natural_spline
+
+
+@pytest.mark.parametrize("pieces", [3, 5, 33])
+def test_the_document_has_the_curve_that_the_basis_gives(pieces):
+    rng = np.random.default_rng(pieces)
+    theta_deg = rng.uniform(-75.0, 240.0, 400)
+    columns, knots = natural_spline(theta_deg, pieces), knots_of(theta_deg, pieces)
+    beta = rng.normal(size=columns.shape[1])
+    document = curve_document(knots, beta, np.diag(np.full(len(beta), 1e-4)))
+    curve = SplineCurve.of({name: one["value"] for name, one in document.items()})
+    size = np.ptp(columns @ beta)
+    np.testing.assert_allclose(curve(theta_deg), columns @ beta, atol=1e-9 * size)
+
+    other = CubicSpline(curve.knots, curve.values, bc_type="natural")
+    at = np.linspace(knots[0], knots[-1], 1001)
+    np.testing.assert_allclose(curve(at), other(at), atol=1e-9 * size)
+    outside = knots[-1] + np.array([10.0, 20.0])
+    end = other(knots[-1]) + other(knots[-1], 1) * (outside - knots[-1])
+    np.testing.assert_allclose(curve(outside), end, atol=1e-9 * size, err_msg="straight beyond its ends")
+
+
+def test_the_standard_errors_at_the_knots_are_those_of_many_fits():
+    rng = np.random.default_rng(4)
+    theta_deg, noise_deg = np.linspace(-60.0, 60.0, 120), 0.1
+    columns, knots = natural_spline(theta_deg, 5), knots_of(theta_deg, 5)
+    solved = np.linalg.pinv(columns)
+    beta = solved @ rng.normal(size=(120, 400)) * noise_deg
+    covariance = solved @ solved.T * noise_deg**2
+    document = curve_document(knots, beta[:, 0], covariance)
+    many = [
+        SplineCurve.of(
+            {name: one["value"] for name, one in curve_document(knots, b, covariance).items()}
+        ).values
+        for b in beta.T
+    ]
+    stated = [document[f"curve_{k}_deg"]["std"] for k in range(1, 6)]
+    np.testing.assert_allclose(np.std(many, axis=0)[1:], stated, rtol=0.15)
+    assert document["curve_0_deg"]["value"] == 0.0, "the constant is the bias's"
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        {"size_deg": 0.3, "knot_0_deg": 0.0, "curve_0_deg": 1.0},
+        {f"{name}_{k}_deg": 1.0 for k in range(4) for name in ("knot", "curve")},
+    ],
+)
+def test_what_states_no_curve_is_none(parameters):
+    assert SplineCurve.of(parameters) is None
