@@ -11,7 +11,9 @@ from calrig.calibration.diagnosis.candidates import candidate_of
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.effects.stage_periodic import window_peaks
+from calrig.calibration.packed_poses import packed
 from calrig.calibration.regression.responses import responses_of
+from calrig.estimation.angles import wrap_deg
 
 NOISE_DEG = 0.05
 
@@ -39,6 +41,34 @@ def test_four_waves_a_turn_at_irregular_poses_are_order_4_of_the_turn():
     assert (effect["name"], effect["verdict"]) == ("stage_periodic", "named")
     assert effect["parameters"]["period_deg"]["value"] == 90.0
     assert "order 4 of the turn" in effect["evidence"]
+
+
+def turned_once(rng, *, over_deg=360.0):
+    """Columns of 160 poses of an axis with order 4, its reading and its accelerometer of equal noise."""
+    targets = rng.uniform(-over_deg / 2.0, over_deg / 2.0, 160)
+    table = targets + np.sin(np.radians(4.0 * targets + 30.0))
+    seen = table + rng.normal(0.0, NOISE_DEG, 160)
+    gravity = {"accel_y_g": np.sin(np.radians(seen)), "accel_z_g": np.cos(np.radians(seen))}
+    readings = 0.5 + table + rng.normal(0.0, NOISE_DEG, 160)
+    return {"target_deg": targets, "reading_deg": readings, **gravity}, seen
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_angle_of_the_accelerometer_that_wraps_takes_neither_the_scale_nor_the_turns_order(seed):
+    columns, seen = turned_once(np.random.default_rng(200 + seed))
+    found = document(diagnose([posed(**columns, accel_deg=wrap_deg(seen))], bootstraps=199), ["a run"])
+    (effect,) = found["effects"]
+    assert "order 4 of the turn" in effect["evidence"]
+    assert found["final"]["held_out_rms_deg"] <= 0.06
+    assert any("accel_deg" in said for said in found["warnings"])
+
+
+def test_a_stages_report_within_one_turn_is_taken_on_the_turn_of_its_target():
+    columns, _ = turned_once(np.random.default_rng(206), over_deg=1100.0)
+    poses = posed(**columns, stage_deg=wrap_deg(columns["target_deg"] + 0.1))
+    theta_deg = [pose.theta_deg for pose in poses]
+    assert theta_deg == pytest.approx(columns["target_deg"] + 0.1)
+    assert packed({"a run": poses}).theta_deg.tolist() == theta_deg
 
 
 def test_a_series_of_more_orders_than_a_search_takes_effects_is_found_whole():
