@@ -99,6 +99,45 @@ def test_a_worm_between_the_steps_of_an_exact_grid_is_one_of_a_set_the_longest_f
     assert longest_but_one == pytest.approx(9.0, abs=0.05)
 
 
+@pytest.mark.parametrize("jitter_deg", [0.0, 0.05])
+def test_a_wave_of_twice_an_even_step_alternates_and_is_no_wave_of_any_amplitude(jitter_deg):
+    rng = np.random.default_rng(10)
+    targets = 3.0 * np.arange(60) + rng.uniform(-jitter_deg, jitter_deg, 60)
+    waves = [(6.0, 0.3, 40.0)]
+    found = document(diagnose([measured(targets, waves, rng)], bootstraps=199), ["a run"])
+    (effect,) = found["effects"]
+    stated = effect["parameters"]
+    assert (effect["name"], stated["period"]["value"]) == ("unnamed", pytest.approx(6.0, rel=1e-3))
+    assert stated["size_deg"]["value"] > 10.0 * stated["size_deg"]["std"]
+    assert found["final"]["held_out_rms_deg"] < 1.2 * NOISE_DEG
+
+
+def test_even_poses_carry_no_period_near_twice_their_spacing_and_none_beyond_the_arc():
+    effect = EFFECTS["stage_periodic"]
+    rng = np.random.default_rng(11)
+    even, jitter = 5.0 * np.arange(40), rng.uniform(-2.0, 2.0, 40)
+    nearest = 1.0 / (1.0 / 10.0 - 1.0 / 195.0)
+
+    def carried(targets, period_deg):
+        r = responses_of([measured(targets, [], rng)])
+        (shape,) = effect.forms(r, {"period_deg": period_deg})
+        return effect.carried(r, shape)
+
+    assert not any(carried(even, period) for period in (10.0, 0.99 * nearest, 10.0 / 3.0, 5.0, 196.0, 361.0))
+    assert carried(even, 1.01 * nearest)
+    assert carried(even + jitter, 10.0)
+    assert not carried(even + jitter, 210.0)
+
+
+@pytest.mark.parametrize(("arc_deg", "verdict"), [(140.0, "ambiguous"), (356.0, "named")])
+def test_a_period_of_the_turn_is_preferred_to_its_alias_at_even_steps(arc_deg, verdict):
+    rng = np.random.default_rng(13)
+    targets = np.arange(-arc_deg / 2.0, arc_deg / 2.0 + 0.1, 4.0)
+    (effect,) = effects_in(measured(np.tile(targets, 2), [(90.0, 0.3, 0.0)], rng))
+    assert (effect["verdict"], effect["parameters"]["period_deg"]["value"]) == (verdict, 90.0)
+    assert any("3.83" in said for said in effect["evidence"] if "would look the same" in said)
+
+
 def test_jitter_tells_the_same_worm_from_its_aliases():
     rng = np.random.default_rng(5)
     targets = np.tile(np.arange(-60.0, 60.1, 5.0), 4) + rng.uniform(-2.0, 2.0, 100)

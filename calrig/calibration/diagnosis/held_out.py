@@ -90,14 +90,17 @@ def cross_validate(
 
 
 def folds_of(r: Responses) -> npt.NDArray[np.intp]:
-    """Return (n,) fold of each pose, dealt out in turn along each approach's elevations.
+    """Return (n,) fold of each pose, dealt along the elevations of each approach, in a random order.
 
-    So every fold has both approaches, all elevations, and poses from early and late.
+    So every fold has both approaches, all elevations, and poses from early and late. Each fourth of evenly
+    spaced poses would be one fold if they were dealt out in turn: without it twice the spacing looks like
+    four times the spacing. The order is the same for equally many poses.
     """
     approach = np.zeros(len(r)) if r.approach is None else r.approach
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
     fold = np.empty(len(r), dtype=np.intp)
-    fold[order] = np.arange(len(r)) % FOLDS
+    rounds = np.tile(np.arange(FOLDS), (-(-len(r) // FOLDS), 1))
+    fold[order] = np.random.default_rng(len(r)).permuted(rounds, axis=1).ravel()[: len(r)]
     return fold
 
 
