@@ -351,7 +351,8 @@ def _witnesses(
     x = np.nan_to_num(given["accel_x_g"][:, 1:]) if "accel_x_g" in given else 0.0
     norm = np.nan_to_num(_off_mean(np.sqrt(x * x + y * y + z * z)))
     yield "norm", _judged(norm, [line[0], warmth])
-    angle = wrap_deg(given["reading_deg"][:, 1:] - np.degrees(np.arctan2(y, z)))
+    angle = given["reading_deg"][:, 1:] - np.degrees(np.arctan2(y, z))
+    angle = angle[:, :1] + wrap_deg(angle - angle[:, :1])
     yield "lag", _judged(np.nan_to_num(_off_mean(angle)), line)
 
 

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from calrig.calibration.line import reading_error_deg
 from calrig.calibration.poses import Pose
-from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.angles import FloatArray
 
 OWN_DEG = 0.01
 """What a step of the accelerometer (0.0035° at ±2 g) and the reckoning leave, with no motor running."""
@@ -157,7 +158,8 @@ def _is_end(pose: Pose, sense: int, low_deg: float, high_deg: float) -> bool:
 
 
 def _errors_deg(poses: Sequence[Pose]) -> FloatArray:
-    return wrap_deg(np.array([pose.reading_deg - pose.theta_deg for pose in poses], dtype=np.float64))
+    theta = np.array([pose.theta_deg for pose in poses], dtype=np.float64)
+    return reading_error_deg(theta, np.array([pose.reading_deg for pose in poses], dtype=np.float64))
 
 
 def _design(poses: Sequence[Pose], width: int, *, both: bool) -> FloatArray:

@@ -43,7 +43,10 @@ class PackedPoses:
     def theta_deg(self) -> FloatArray:
         """(N,) the elevation that each pose stands for, as `Pose.theta_deg`."""
         target, stage = self.columns["target_deg"], self.columns.get("stage_deg")
-        dial = target if stage is None else np.where(np.isnan(stage), target, stage)
+        dial = target
+        if stage is not None:
+            turned = np.where(np.abs(stage - target) > 180.0, target + wrap_deg(stage - target), stage)
+            dial = np.where(np.isnan(stage), target, turned)
         mount = self.columns.get(MOUNT_DEG)
         return dial if mount is None else dial + wrap_deg(np.nan_to_num(mount))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calrig.calibration.line import reading_error_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.estimation.kalman import KalmanNoise
 
@@ -104,8 +105,14 @@ class Pose:
 
     @property
     def dial_deg(self) -> float:
-        """The angle of the dial: what the stage reported, else what was commanded."""
-        return self.target_deg if self.stage_deg is None else self.stage_deg
+        """The angle of the dial: what the stage reported, else what was commanded.
+
+        A report within one turn is taken on the turn of the command.
+        """
+        if self.stage_deg is None:
+            return self.target_deg
+        off_deg = self.stage_deg - self.target_deg
+        return self.stage_deg if abs(off_deg) <= 180.0 else self.target_deg + wrap_deg(off_deg)
 
     @property
     def mount_deg(self) -> float:
@@ -150,6 +157,10 @@ def _attribute(column: str) -> str:
 
 SAME = 1.0 - 1e-6
 """Columns correlated beyond this are one column."""
+FOLLOWS, MOST_OFF_DEG = 0.999, 90.0
+"""Correlation beyond which a column is another measurement of the elevation, counted on over turns: as an
+influence quantity it would take the place of the scale. Of an angle it is within so much of the elevation.
+"""
 
 
 def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
@@ -217,8 +228,23 @@ def covariates_of(
         if twin is not None:
             warnings.append(f"column {name} says the same as {twin}: it was not used")
             continue
+        if follows(theta, column):
+            warnings.append(
+                f"column {name} follows the elevation (correlation above {FOLLOWS:g}), so that its influence "
+                "cannot be told from the scale: it was not used"
+            )
+            continue
         found[name] = taken[name] = column
     return found, warnings
+
+
+def follows(theta: FloatArray, column: FloatArray) -> bool:
+    """Return whether a column measures the elevation again: as it is, or as an angle within one turn."""
+    if np.ptp(theta) == 0.0:
+        return False
+    error = reading_error_deg(theta, column)
+    counted = [column, theta + error] if np.ptp(error) < 2.0 * MOST_OFF_DEG else [column]
+    return any(np.ptp(one) > 0.0 and abs(np.corrcoef(theta, one)[0, 1]) > FOLLOWS for one in counted)
 
 
 def same(a: FloatArray, b: FloatArray) -> bool:

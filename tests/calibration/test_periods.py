@@ -11,7 +11,9 @@ from calrig.calibration.diagnosis.candidates import candidate_of
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.effects.stage_periodic import window_peaks
+from calrig.calibration.packed_poses import packed
 from calrig.calibration.regression.responses import responses_of
+from calrig.estimation.angles import wrap_deg
 
 NOISE_DEG = 0.05
 
@@ -41,6 +43,34 @@ def test_four_waves_a_turn_at_irregular_poses_are_order_4_of_the_turn():
     assert "order 4 of the turn" in effect["evidence"]
 
 
+def turned_once(rng, *, over_deg=360.0):
+    """Columns of 160 poses of an axis with order 4, its reading and its accelerometer of equal noise."""
+    targets = rng.uniform(-over_deg / 2.0, over_deg / 2.0, 160)
+    table = targets + np.sin(np.radians(4.0 * targets + 30.0))
+    seen = table + rng.normal(0.0, NOISE_DEG, 160)
+    gravity = {"accel_y_g": np.sin(np.radians(seen)), "accel_z_g": np.cos(np.radians(seen))}
+    readings = 0.5 + table + rng.normal(0.0, NOISE_DEG, 160)
+    return {"target_deg": targets, "reading_deg": readings, **gravity}, seen
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_angle_of_the_accelerometer_that_wraps_takes_neither_the_scale_nor_the_turns_order(seed):
+    columns, seen = turned_once(np.random.default_rng(200 + seed))
+    found = document(diagnose([posed(**columns, accel_deg=wrap_deg(seen))], bootstraps=199), ["a run"])
+    (effect,) = found["effects"]
+    assert "order 4 of the turn" in effect["evidence"]
+    assert found["final"]["held_out_rms_deg"] <= 0.06
+    assert any("accel_deg" in said for said in found["warnings"])
+
+
+def test_a_stages_report_within_one_turn_is_taken_on_the_turn_of_its_target():
+    columns, _ = turned_once(np.random.default_rng(206), over_deg=1100.0)
+    poses = posed(**columns, stage_deg=wrap_deg(columns["target_deg"] + 0.1))
+    theta_deg = [pose.theta_deg for pose in poses]
+    assert theta_deg == pytest.approx(columns["target_deg"] + 0.1)
+    assert packed({"a run": poses}).theta_deg.tolist() == theta_deg
+
+
 def test_a_series_of_more_orders_than_a_search_takes_effects_is_found_whole():
     rng = np.random.default_rng(2)
     orders = (1, 2, 3, 4, 8, 12, 16)
@@ -67,6 +97,45 @@ def test_a_worm_between_the_steps_of_an_exact_grid_is_one_of_a_set_the_longest_f
     (said,) = (said for said in effect["evidence"] if "would look the same" in said)
     longest_but_one = float(said.removeprefix("a period of ").partition("°")[0])
     assert longest_but_one == pytest.approx(9.0, abs=0.05)
+
+
+@pytest.mark.parametrize("jitter_deg", [0.0, 0.05])
+def test_a_wave_of_twice_an_even_step_alternates_and_is_no_wave_of_any_amplitude(jitter_deg):
+    rng = np.random.default_rng(10)
+    targets = 3.0 * np.arange(60) + rng.uniform(-jitter_deg, jitter_deg, 60)
+    waves = [(6.0, 0.3, 40.0)]
+    found = document(diagnose([measured(targets, waves, rng)], bootstraps=199), ["a run"])
+    (effect,) = found["effects"]
+    stated = effect["parameters"]
+    assert (effect["name"], stated["period"]["value"]) == ("unnamed", pytest.approx(6.0, rel=1e-3))
+    assert stated["size_deg"]["value"] > 10.0 * stated["size_deg"]["std"]
+    assert found["final"]["held_out_rms_deg"] < 1.2 * NOISE_DEG
+
+
+def test_even_poses_carry_no_period_near_twice_their_spacing_and_none_beyond_the_arc():
+    effect = EFFECTS["stage_periodic"]
+    rng = np.random.default_rng(11)
+    even, jitter = 5.0 * np.arange(40), rng.uniform(-2.0, 2.0, 40)
+    nearest = 1.0 / (1.0 / 10.0 - 1.0 / 195.0)
+
+    def carried(targets, period_deg):
+        r = responses_of([measured(targets, [], rng)])
+        (shape,) = effect.forms(r, {"period_deg": period_deg})
+        return effect.carried(r, shape)
+
+    assert not any(carried(even, period) for period in (10.0, 0.99 * nearest, 10.0 / 3.0, 5.0, 196.0, 361.0))
+    assert carried(even, 1.01 * nearest)
+    assert carried(even + jitter, 10.0)
+    assert not carried(even + jitter, 210.0)
+
+
+@pytest.mark.parametrize(("arc_deg", "verdict"), [(140.0, "ambiguous"), (356.0, "named")])
+def test_a_period_of_the_turn_is_preferred_to_its_alias_at_even_steps(arc_deg, verdict):
+    rng = np.random.default_rng(13)
+    targets = np.arange(-arc_deg / 2.0, arc_deg / 2.0 + 0.1, 4.0)
+    (effect,) = effects_in(measured(np.tile(targets, 2), [(90.0, 0.3, 0.0)], rng))
+    assert (effect["verdict"], effect["parameters"]["period_deg"]["value"]) == (verdict, 90.0)
+    assert any("3.83" in said for said in effect["evidence"] if "would look the same" in said)
 
 
 def test_jitter_tells_the_same_worm_from_its_aliases():

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, rebuilt
+from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
@@ -42,11 +43,20 @@ the search over all poses.
 
 @dataclass(frozen=True, slots=True)
 class CrossValidation:
-    """Errors (n,) in degrees of elevation of held-out poses: neither search nor fit had seen them."""
+    """Errors (n,) in degrees of elevation of held-out poses: neither search nor fit had seen them.
+
+    With `is_searched` False only the fit had not: the effects are those of all poses.
+    """
 
     base_deg: FloatArray
     final_deg: FloatArray
     folds: int
+    is_searched: bool = True
+
+    @property
+    def is_harmful(self) -> bool:
+        """Whether the error is larger with the effects than without."""
+        return rms(self.final_deg) > rms(self.base_deg)
 
 
 def cross_validate(
@@ -80,6 +90,7 @@ def cross_validate(
         findings = search(
             seen, of_fold, rng, bootstraps=BOOTSTRAPS, decide_only=True, rivals=rivals, noises=noises
         )
+        findings = established(findings, draws=False)
         if not findings.found:
             final[test] = base[test]
             continue
@@ -89,15 +100,52 @@ def cross_validate(
     return CrossValidation(base, final, folds)
 
 
-def folds_of(r: Responses) -> npt.NDArray[np.intp]:
-    """Return (n,) fold of each pose, dealt out in turn along each approach's elevations.
+def without_harm(
+    findings: Findings, held_out: CrossValidation
+) -> tuple[Findings, CrossValidation, list[str]]:
+    """Reduce effects with which the error on held-out poses is larger than without them, until it is not.
 
-    So every fold has both approaches, all elevations, and poses from early and late.
+    Where the folds' own searches did harm, the effects of all poses are fitted again in each fold. While the
+    error is larger than without them, the effect leaves whose absence lowers the error most.
+
+    Returns:
+        The findings, the errors on held-out poses, and a warning if effects left.
+    """
+    if not held_out.is_harmful:
+        return findings, held_out, []
+    r, found = findings.responses, list(findings.found)
+
+    def refitted(those: Sequence[SelectedEffect]) -> CrossValidation:
+        final_deg = _errors(r, tuple(f.candidate for f in those), BETWEEN) if those else held_out.base_deg
+        return CrossValidation(held_out.base_deg, final_deg, held_out.folds, is_searched=False)
+
+    again = refitted(found)
+    while again.is_harmful:
+        fewer = [[f for f in found if f is not one] for one in found]
+        found = min(fewer, key=lambda those: rms(refitted(those).final_deg))
+        again = refitted(found)
+    left = [f.candidate.label for f in findings.found if f not in found]
+    if not left:
+        return findings, again, []
+    warning = (
+        f"{', '.join(left)}: significant, but not listed, since the error on held-out poses is larger with "
+        f"it: RMS {rms(held_out.base_deg):#.3g}° before and {rms(held_out.final_deg):#.3g}° after"
+    )
+    return with_effects(findings, found), again, [warning]
+
+
+def folds_of(r: Responses) -> npt.NDArray[np.intp]:
+    """Return (n,) fold of each pose, dealt along the elevations of each approach, in a random order.
+
+    So every fold has both approaches, all elevations, and poses from early and late. Each fourth of evenly
+    spaced poses would be one fold if they were dealt out in turn: without it twice the spacing looks like
+    four times the spacing. The order is the same for equally many poses.
     """
     approach = np.zeros(len(r)) if r.approach is None else r.approach
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
     fold = np.empty(len(r), dtype=np.intp)
-    fold[order] = np.arange(len(r)) % FOLDS
+    rounds = np.tile(np.arange(FOLDS), (-(-len(r) // FOLDS), 1))
+    fold[order] = np.random.default_rng(len(r)).permuted(rounds, axis=1).ravel()[: len(r)]
     return fold
 
 
@@ -158,6 +206,8 @@ def confirm(
 
 
 BLOCKS = 4
+BETWEEN = "between"
+"""Along nothing: the interleaved folds, as many as there are blocks."""
 UNSTABLE = 1e-3
 """Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
 ESTIMABLE = 1e-4
@@ -249,7 +299,7 @@ def _folds(r: Responses) -> dict[str, Intp]:
 
 @lru_cache(maxsize=KEPT)
 def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatArray:
-    errors, fold = np.zeros(len(r)), _folds(r)[along]
+    errors, fold = np.zeros(len(r)), folds_of(r) if along == BETWEEN else _folds(r)[along]
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         shown = _shown(r, accepted, train)

@@ -66,25 +66,33 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     model = fitted_model(r, whole)
     own = own_columns(model.columns, whole)
-    fitted = replace(model.fitted, covariance=_covariance(model, own))
+    fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)
     ]
 
 
-def _covariance(model: Model, own: Sequence[slice]) -> FloatArray:
-    """That of the coefficients, with what the places add that were refined and may lie a little elsewhere."""
+def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool = True) -> FloatArray:
+    """Return (p, p) covariance of a model's coefficients, the places that were refined among the unknowns.
+
+    An order of the turn is known.
+
+    Args:
+        model: with its fit.
+        own: the columns of each accepted effect.
+        widened: by how far refits of noise scatter (`covariance_of`).
+    """
     slopes = [
         slope(model.responses, candidate, model.fitted.beta[at])
         for candidate, at in zip(model.accepted, own, strict=True)
-        if candidate.effect.place in candidate.shape.at_std
+        if candidate.effect.place in candidate.shape.at_std and not candidate.shape.series
     ]
     r, columns, fitted = model.responses, model.columns, model.fitted
     if slopes:
         columns = np.concatenate([columns, *slopes], axis=2)
         fitted = fit(r, columns)
-    return covariance_of(r, columns, fitted)
+    return covariance_of(r, columns, fitted) if widened else fitted.covariance
 
 
 def model_words(findings: Findings) -> str:

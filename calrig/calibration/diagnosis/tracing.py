@@ -10,6 +10,7 @@ import numpy as np
 
 from calrig.calibration.diagnosis.candidates import candidates_of
 from calrig.calibration.diagnosis.conclusion import conclude
+from calrig.calibration.diagnosis.established import established
 from calrig.calibration.diagnosis.experiment_design import ambiguous_of, design
 from calrig.calibration.diagnosis.held_out import (
     BLOCKS,
@@ -21,6 +22,7 @@ from calrig.calibration.diagnosis.held_out import (
     cross_validate,
     not_predictive,
     standing_without_one,
+    without_harm,
     worse,
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
@@ -91,24 +93,26 @@ def diagnose(
     r = responses_of(whole, names_of(runs, whole, run_ids), request)
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
-    findings = search(r, candidates, rng, bootstraps=bootstraps)
+    findings = established(search(r, candidates, rng, bootstraps=bootstraps), draws=True)
     kept, outliers = _parted(whole, findings)
     left = findings.responses
     findings = replace(findings, found=standing_without_one(left, findings.found))
     held_out: CrossValidation | None = None
     blocks: tuple[Blocked, ...] = ()
+    harm: list[str] = []
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
         of_folds = within(progress, 1.0 / (1.0 + FOLDS), 1.0)  # the search over all poses has been done
         rivals = competing_candidates(findings.found)
         held_out = cross_validate(left, of_kept, rng, rivals, findings.noises, of_folds)
+        findings, held_out, harm = without_harm(findings, held_out)
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
         findings = replace(findings, found=predictive)
         blocks = blocked(left, [f.candidate for f in findings.found])
     lack = _lack_of_fit(kept, findings)
     said = warning_of(lack, found=bool(findings.found))
     told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
-    warnings = (*outliers, *incomplete, *r.warnings, *told)
+    warnings = (*outliers, *incomplete, *r.warnings, *harm, *told)
     return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
 
 
@@ -207,7 +211,8 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
 def _how(held_out: CrossValidation, blocks: Sequence[Blocked]) -> str:
     """Return how the errors on held-out poses were measured, in words."""
     along = " and ".join(f"along {one.along}" for one in blocks)
-    return f"{held_out.folds} folds, interleaved; {BLOCKS} contiguous blocks {along}"
+    those = "" if held_out.is_searched else ", with the effects of all poses"
+    return f"{held_out.folds} folds, interleaved{those}; {BLOCKS} contiguous blocks {along}"
 
 
 def _noise(lack: LackOfFit) -> dict[str, Any]:

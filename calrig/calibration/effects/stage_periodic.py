@@ -62,6 +62,27 @@ def window_peaks(theta_deg: FloatArray, highest: float, least: float) -> tuple[F
 
 
 TURN_DEG = 360.0
+EVEN_POWER = 0.9
+"""Of the spectral window: where spacing is as good as even."""
+
+
+def spacing_deg(theta_deg: FloatArray) -> float | None:
+    """Return the step of evenly spaced elevations; None where jitter or gaps tell aliases apart."""
+    arc, places = float(np.ptp(theta_deg)), len(np.unique(theta_deg))
+    if places < 3:
+        return None
+    even, _ = window_peaks(theta_deg, 1.5 * max(places / arc, 1.0 / SHORTEST_PERIOD_DEG), EVEN_POWER)
+    if not len(even):
+        return None
+    step = steps_of(theta_deg, 1.0 / float(even[0]))
+    return float(np.polyfit(step, theta_deg, 1)[0])
+
+
+def steps_of(theta_deg: FloatArray, spacing_deg: float) -> FloatArray:
+    """Return (n,) the whole number of steps from the lowest elevation to each."""
+    return np.asarray(np.rint((theta_deg - theta_deg.min()) / spacing_deg), dtype=np.float64)
+
+
 USUAL_ORDERS = (2, 3, 4, 6, 8, 12, 16)
 """Of the turn: what unequal channels, poles and phases make of an axis. Order 1 is an eccentricity."""
 SHORTEST_PERIOD_DEG = 1.75
@@ -72,8 +93,10 @@ PLACES, MOST_PLACES, PLACES_A_POSE = (3.0, 2.0), 400, 12.0
 """Frequencies scanned to a resolution of 1/arc: fewer where there are many; so many to a pose at most."""
 APART = 0.75
 """Of a resolution: two waves closer than that are one, and cancel each other where both are fitted."""
-SAME_POWER, ALIKE_POWER, MOST_ALIKE = 0.9, 0.4, 12
-"""Of the spectral window: where spacing is as good as even, and where two periods may be taken for one."""
+ALIKE_POWER, MOST_ALIKE = 0.4, 12
+"""Of the spectral window: where two periods may be taken for one."""
+ROUNDING = 1e-6
+"""Of a frequency: so near its bound it is on it."""
 SURE = 2.0
 """Standard errors within which a period is an order of the turn, where orders lie far enough apart."""
 
@@ -97,12 +120,27 @@ def _scanned(theta_deg: FloatArray, arc: float) -> FloatArray:
     """Frequencies in cycles per degree, from the turn's second order or so to what the spacing resolves."""
     shortest = min(SHORTEST_PERIOD_DEG, 2.0 * arc / len(np.unique(theta_deg)))
     lowest, highest = 1.0 / TURN_DEG + APART / arc, 1.0 / shortest
-    even, _ = window_peaks(theta_deg, highest, SAME_POWER)
-    if len(even):
-        highest = min(highest, float(even[0]) / 2.0)
+    if (spacing := spacing_deg(theta_deg)) is not None:
+        highest = min(highest, 1.0 / (2.0 * spacing) - 1.0 / arc)
     finer = next((f for f in PLACES if (highest - lowest) * f * arc <= MOST_PLACES), PLACES[-1])
     most = min(1.5 * MOST_PLACES, PLACES_A_POSE * len(theta_deg))
     return np.arange(lowest, min(highest, lowest + most / (finer * arc)) + 1e-9, 1.0 / (finer * arc))
+
+
+def _carried(r: Responses, shape: Shape) -> bool:
+    """Return whether the poses determine period, amplitude and phase of a wave together.
+
+    A period beyond the arc is a curve. Evenly spaced poses show waves near twice the spacing, or near a part
+    of it, as one that alternates or drifts: amplitude and phase are one number there.
+    """
+    frequency, arc = 1.0 / shape.at.get("period_deg", TURN_DEG), r.arc_deg
+    if frequency * (1.0 + ROUNDING) < max(1.0 / TURN_DEG, 1.0 / arc):
+        return False
+    spacing = spacing_deg(r.theta_deg)
+    if spacing is None:
+        return True
+    halves = max(1.0, round(2.0 * spacing * frequency)) / (2.0 * spacing)
+    return abs(frequency - halves) * (1.0 + ROUNDING) >= 1.0 / arc
 
 
 def _left_beside(base: FloatArray, theta_deg: FloatArray, periods: FloatArray) -> FloatArray:
@@ -215,4 +253,5 @@ EFFECT = Effect(
         "Periodic error of the sensor",
         "correct by the unit's calibration; look at how the sensor is centred, its channels and its poles",
     ),
+    carried=_carried,
 )

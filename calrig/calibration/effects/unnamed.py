@@ -14,6 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calrig.calibration.effects.stage_periodic import spacing_deg, steps_of
 from calrig.calibration.regression.channels import ANGLE, MOVE, READING, BoolArray
 from calrig.calibration.regression.effect import (
     ApplyError,
@@ -212,6 +213,7 @@ KNOTS = (3, 5)
 MORE_KNOTS, POSES_A_KNOT = (9, 17, 33), 12
 """Of the elevation, where there are so many poses to each: a potentiometer may be wavy all along."""
 OF_THE_READING = ", of the reading alone"
+ALTERNATING = "alternating from step to step"
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
@@ -254,6 +256,9 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
             by_side = (natural_spline(r.theta_deg, count).T * r.approach).T
             shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
             yield replace(shape, beside=("approach",))
+    if (spacing := spacing_deg(r.theta_deg)) is not None:
+        alternating = np.where(steps_of(r.theta_deg, spacing) % 2.0 == 0.0, 1.0, -1.0)
+        yield _shape(turned(r, alternating), "target_deg", ALTERNATING, {"period": 2.0 * spacing})
     if MOVE in r.channels:  # without a gyro to feel it, a stage's shape is the same thing again
         of_stage = partial(turned, r)
         stage = _of_one(r.theta_deg, "target_deg", of_stage, has_knots=r.reference_is_good)
@@ -340,6 +345,11 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
         said.append(f"{shape.covariate} went from {column.min():.5g} to {column.max():.5g}{of_unit}")
     if shape.form.endswith(OF_THE_READING):
         said.append("the reading moved and the accelerometer did not: look at what filters the reading")
+    if shape.form == ALTERNATING:
+        said.append(
+            f"a period of {shape.at['period']:.4g}°, twice the spacing, or an odd part of it: evenly spaced "
+            "poses tell neither its amplitude nor its phase"
+        )
     if shape.form == CIRCLE:
         said.append(
             f"`at` is where it is largest, in the {unit} of the column; size_deg is from there to the least"

@@ -293,6 +293,7 @@ class Effect:
         settled: the places to take for those refined, by their standard errors: a value that is known.
         look_alikes: places that these poses may not tell from a shape's, the likeliest first.
         distinct: whether two shapes at different places can both be in one model of these poses; else always.
+        carried: whether these poses determine the coefficients of a shape together with its place.
         reported, evidence: a document's parameters of coefficients and covariance; sentences about a shape.
         not_linear: (n,) a channel, what the forms' columns do not say, of the effect's own coefficients.
         possible: whether coefficients are any that the physics allows.
@@ -320,6 +321,7 @@ class Effect:
     settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
     look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
     distinct: Callable[[Responses, Shape, Shape], bool] | None = None
+    carried: Callable[[Responses, Shape], bool] = lambda _r, _shape: True
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     not_linear: Callable[[Responses, FloatArray], Mapping[str, FloatArray]] | None = None
@@ -359,7 +361,7 @@ class Effect:
     def shapes(self, r: Responses) -> Iterator[Shape]:
         """Return every form at every place that the search considers in these poses."""
         for at in ({},) if self.scan is None else self.scan(r):
-            yield from self.forms(r, at)
+            yield from (shape for shape in self.forms(r, at) if self.carried(r, shape))
 
     def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
         """A document's `parameters`: what was fitted or refined with its standard error, the rest without."""

@@ -1,0 +1,109 @@
+"""Which of the selected effects are large enough, beside their standard errors, to be listed.
+
+A search tests whether something is there. It does not test whether each effect of the final model has a size:
+two terms that entered one after the other may cancel each other. Each effect is judged by a Wald test of all
+its coefficients together (Seber & Wild, Nonlinear Regression, 1989, section 5.3), so of amplitude and phase
+of a wave at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
+from calrig.calibration.diagnosis.candidates import Candidate, own_columns
+from calrig.calibration.diagnosis.report import covariance_with_places
+from calrig.calibration.diagnosis.reselection import penalised_criterion
+from calrig.calibration.diagnosis.selection import Findings
+from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.regression.responses import Responses
+
+TWO_STANDARD_ERRORS = 0.0455
+"""Chance that noise alone gives a coefficient of two standard errors or more."""
+CLEAR = 4.0
+"""Standard errors from which on the refits of noise that widen them need not be drawn."""
+
+
+def established(findings: Findings, *, draws: bool) -> Findings:
+    """Return the findings less the effects whose size is below two of its standard errors.
+
+    Of two effects that are uncertain only beside each other one stays, and is ambiguous with the other.
+
+    Args:
+        findings: of a search.
+        draws: whether standard errors are widened by refits of noise, as in a document.
+    """
+    r, found = findings.responses, list(findings.found)
+    while found:
+        chances = _chances(r, found, draws=draws)
+        followed = {f.candidate.follows for f in found}
+        may_leave = [k for k, f in enumerate(found) if f.candidate.name not in followed]
+        least = max(may_leave, key=chances.__getitem__, default=None)
+        if least is None or chances[least] <= TWO_STANDARD_ERRORS:
+            break
+        found = _without(r, found, least, draws=draws)
+    return findings if len(found) == len(findings.found) else with_effects(findings, found)
+
+
+def with_effects(findings: Findings, found: Sequence[SelectedEffect]) -> Findings:
+    """Return findings of the same poses with other effects."""
+    model = fitted_model(findings.responses, [f.candidate for f in found])
+    return replace(findings, found=tuple(found), fitted=model.fitted, columns=model.columns)
+
+
+def _without(
+    r: Responses, found: Sequence[SelectedEffect], weak: int, *, draws: bool
+) -> list[SelectedEffect]:
+    """Return the effects without a weak one, or without the one that makes it weak."""
+    one = found[weak]
+    rest = [f for f in found if f is not one]
+    for other in rest:
+        fewer = [f for f in found if f is not other]
+        chances = _chances(r, fewer, draws=draws)
+        if chances[next(k for k, f in enumerate(fewer) if f is one)] > TWO_STANDARD_ERRORS:
+            continue
+        if any(f.candidate.follows == other.candidate.name for f in fewer):
+            continue
+        kept, left = min(
+            ((rest, other), (fewer, one)), key=lambda pair: penalised_criterion(r, _candidates(pair[0]))
+        )
+        dropped = one if kept is rest else other
+        return [_ambiguous_with(f, dropped) if f is left else f for f in kept]
+    return rest
+
+
+def _ambiguous_with(one: SelectedEffect, dropped: SelectedEffect) -> SelectedEffect:
+    if dropped.candidate.label in {rival.label for rival in one.rivals}:
+        return one
+    told = f"these poses determine either it or {dropped.candidate.label}, not both together"
+    return one.against(dropped.candidate, told)
+
+
+def _candidates(found: Sequence[SelectedEffect]) -> list[Candidate]:
+    return [f.candidate for f in found]
+
+
+def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> list[float]:
+    """Return each effect's chance of coefficients as large in noise alone, the other effects present."""
+    from scipy.special import fdtrc
+
+    candidates = _candidates(found)
+    model = fitted_model(r, candidates)
+    own = own_columns(model.columns, candidates)
+    freedom = max(1, len(r) - int(np.any(model.columns[:, 0, :] != 0.0, axis=0).sum()))
+
+    def wald(*, widened: bool) -> list[float]:
+        covariance = covariance_with_places(model, own, widened=widened)
+        beta = model.fitted.beta
+        return [float(beta[at] @ np.linalg.pinv(covariance[at, at], hermitian=True) @ beta[at]) for at in own]
+
+    distances = wald(widened=False)
+    if draws and min(d / (at.stop - at.start) for d, at in zip(distances, own, strict=True)) < CLEAR**2:
+        distances = wald(widened=True)
+    return [
+        float(fdtrc(at.stop - at.start, freedom, distance / (at.stop - at.start)))
+        for distance, at in zip(distances, own, strict=True)
+    ]

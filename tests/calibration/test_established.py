@@ -1,0 +1,86 @@
+"""What is listed: effects whose size the poses show, and with which held-out poses are predicted no worse."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from posed import posed
+
+from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
+from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of
+from calrig.calibration.diagnosis.established import established
+from calrig.calibration.diagnosis.held_out import CrossValidation, without_harm
+from calrig.calibration.diagnosis.selection import Findings
+from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.effects import effect_of
+from calrig.calibration.regression.responses import Responses, responses_of
+
+RNG = np.random.default_rng(22)
+THETA_DEG = RNG.uniform(-90.0, 90.0, 60)
+APPROACH = np.sign(np.diff(THETA_DEG, prepend=0.0))
+NOISE_DEG = RNG.normal(0.0, 0.03, 60)
+
+
+def run_of(error_deg: np.ndarray) -> Responses:
+    readings_deg = 0.5 + THETA_DEG + error_deg + NOISE_DEG
+    return responses_of([posed(target_deg=THETA_DEG, reading_deg=readings_deg, approach=APPROACH)])
+
+
+def selected(r: Responses, name: str, form: str = "", period_deg: float = 0.0) -> SelectedEffect:
+    """An effect as a search would have selected it."""
+    if period_deg:
+        effect = effect_of(name)
+        candidates = [candidate_of(r, effect, shape) for shape in effect.forms(r, {"period_deg": period_deg})]
+    else:
+        candidates = [c for c in candidates_of(r) if c.name == name and c.beside is None]
+    return SelectedEffect(next(c for c in candidates if c.shape.form == form), (), 0.001, np.inf)
+
+
+def findings_of(r: Responses, found: Sequence[SelectedEffect]) -> Findings:
+    model = fitted_model(r, [f.candidate for f in found])
+    return Findings(r, np.arange(len(r)), tuple(found), model.fitted, model.columns, 0.001)
+
+
+def test_an_effect_below_two_standard_errors_is_not_listed_and_one_above_is() -> None:
+    r = run_of(0.05 * APPROACH)
+    found = [selected(r, "stage_periodic", period_deg=17.0), selected(r, "backlash")]
+    assert [f.candidate.name for f in established(findings_of(r, found), draws=True).found] == ["backlash"]
+
+
+def test_amplitude_and_phase_are_judged_together() -> None:
+    """Of a wave that is a pure sine the cosine's coefficient is noise."""
+    r = run_of(0.05 * np.sin(np.radians(360.0 / 17.0 * THETA_DEG)))
+    found = [selected(r, "stage_periodic", period_deg=17.0)]
+    assert len(established(findings_of(r, found), draws=True).found) == 1
+
+
+@pytest.mark.parametrize("size_deg", [0.08, 0.3])
+def test_of_two_effects_that_make_each_other_uncertain_one_stays_and_is_ambiguous(size_deg: float) -> None:
+    r = run_of(size_deg * np.sin(np.radians(360.0 / 95.0 * THETA_DEG)))
+    found = [selected(r, "stage_periodic", period_deg=period) for period in (94.0, 97.0)]
+    (left,) = established(findings_of(r, found), draws=True).found
+    assert left.verdict == "ambiguous"
+    assert {left.candidate, *left.rivals} == {f.candidate for f in found}
+
+
+def test_effects_that_predict_held_out_poses_worse_are_not_listed() -> None:
+    r = run_of(0.05 * APPROACH)
+    found = [selected(r, "backlash"), selected(r, "stage_periodic", period_deg=17.0)]
+    findings = findings_of(r, found)
+    harmful = CrossValidation(0.03 * np.ones(len(r)), np.ones(len(r)), 4)
+    kept, held_out, (warning,) = without_harm(findings, harmful)
+    assert len(kept.found) < 2
+    assert not held_out.is_harmful
+    assert "stage_periodic" in warning
+    assert without_harm(findings, CrossValidation(np.ones(len(r)), np.zeros(len(r)), 4))[0] is findings
+
+
+def test_effects_that_only_the_folds_searches_miss_are_fitted_again_in_each_fold() -> None:
+    r = run_of(0.05 * APPROACH)
+    findings = findings_of(r, [selected(r, "backlash")])
+    base_deg = fitted_model(r, ()).fitted.residuals[:, 0]
+    kept, held_out, warnings = without_harm(findings, CrossValidation(base_deg, 2.0 * base_deg, 4))
+    assert kept is findings
+    assert (held_out.is_searched, held_out.is_harmful, warnings) == (False, False, [])
