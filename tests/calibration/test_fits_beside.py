@@ -39,7 +39,8 @@ def test_a_fold_asks_again_of_what_was_found_and_of_what_came_near() -> None:
     findings = search(r, candidates, np.random.default_rng(1), bootstraps=99)
     backlash = next(f for f in findings.found if f.candidate.name == "backlash")
 
-    near = {c.label for c in near_among(candidates, backlash, competing_candidates(findings.found))}
+    rivals = competing_candidates(r, candidates, findings.found)
+    near = {c.label for c in near_among(candidates, backlash, rivals)}
 
     assert {f.candidate.label for f in findings.found} <= near < {c.label for c in candidates}
     assert near_among(candidates, backlash, None) == candidates

@@ -164,7 +164,7 @@ def test_the_standard_error_of_a_period_is_its_scatter():
     for _ in range(60):
         r = responses_of([measured(targets, [(7.3, 0.2, 0.0)], rng)])
         (shape,) = effect.forms(r, {"period_deg": 7.25})
-        _, found = refined(r, [], candidate_of(r, effect, shape))
+        ((_, _, found),) = refined(r, [], [candidate_of(r, effect, shape)])
         periods.append(found.shape.at["period_deg"])
         errors.append(found.shape.at_std["period_deg"])
     assert np.mean(periods) == pytest.approx(7.3, abs=4.0 * np.std(periods) / np.sqrt(60))

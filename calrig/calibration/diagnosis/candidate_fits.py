@@ -10,7 +10,7 @@ Regression, 1989, section 2.1).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ from calrig.calibration.diagnosis.candidates import (
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.diagnosis.sensor_model import MOST_STEPS, NEGLIGIBLE, Curve, fitted_model
 from calrig.calibration.regression.effect import Parameters, Shape
-from calrig.calibration.regression.noise_model import Fit, RepeatedSteps, fit, fits, orthonormal
+from calrig.calibration.regression.noise_model import RepeatedSteps, fit, fits, orthonormal
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
 
@@ -36,11 +36,15 @@ NARROW = 2
 
 
 class FitsBeside(NamedTuple):
-    """Of k models: criterion (k,), coefficients (p,) each, the candidate's last, and residuals (k, n, J)."""
+    """Of k models: criterion (k,), coefficients (p,) each, the candidate's last, and residuals (k, n, J).
+
+    With the variance (k,) of the last coefficient of each, where it was asked for.
+    """
 
     criterion: FloatArray
     beta: list[FloatArray]
     residuals: FloatArray
+    last_variance: FloatArray
 
 
 def fit_candidates(
@@ -55,58 +59,99 @@ def fit_candidates(
         columns_with: (n, J, p) columns of the model with some candidates beside it.
         candidates: those.
     """
-    count = len(candidates)
-    found = FitsBeside(np.empty(count), [np.empty(0)] * count, np.empty((count, *r.values.shape)))
-    alike: dict[str | None, list[int]] = {}
-    for k, candidate in enumerate(candidates):
-        alike.setdefault(candidate.shape.replaces, []).append(k)
-    for those in alike.values():
-        own = [candidates[k].columns for k in those]
-        model = columns_with([candidates[those[0]]])[:, :, : -own[0].shape[2]]
-        part = _fits_beside(r, model, own)
-        found.criterion[those], found.residuals[those] = part.criterion, part.residuals
-        for k, beta in zip(those, part.beta, strict=True):
-            found.beta[k] = beta
-    return found
+    return CandidateFits(r, columns_with).of(candidates, [c.columns for c in candidates])
 
 
-def _fits_beside(r: Responses, model: FloatArray, candidates: Sequence[FloatArray]) -> FitsBeside:
-    """Of columns (n, J, w) each beside a model (n, J, q)."""
-    q, (n, channels) = model.shape[2], r.values.shape
-    spread = np.hypot(r.values.std(axis=0), r.rounding)
-    weight = np.broadcast_to(1.0 / spread, (n, channels)).ravel()  # white to begin with
-    rows = model.reshape(-1, q).T
-    turn = _orthonormal_turn((rows * weight)[None])[0]
-    base = turn.T @ rows
-    there = np.any(base != 0.0, axis=1)
-    base, turn = base[there], turn[:, there]
-    values = r.values.ravel()
-    first = base @ (values * weight**2)
-    alone = values - first @ base
-    further = RepeatedSteps(r, base)
-    taken = max(1.0, (q + max(c.shape[2] for c in candidates)) / channels)
-    count = len(candidates)
-    found = FitsBeside(np.empty(count), [np.empty(0)] * count, np.empty((count, n, channels)))
-    narrow = [k for k, candidate in enumerate(candidates) if candidate.shape[2] <= NARROW]
-    wide = [k for k, candidate in enumerate(candidates) if candidate.shape[2] > NARROW]
-    for those in filter(None, (narrow, wide)):
-        own = np.zeros((len(those), max(candidates[k].shape[2] for k in those), values.size))
-        for place, k in enumerate(those):
-            own[place, : candidates[k].shape[2]] = candidates[k].reshape(values.size, -1).T
-        inside = own @ (base * weight**2).T
-        left = own - inside @ base
-        across = np.swapaxes(_orthonormal_turn(left * weight, own * weight), 1, 2)
-        beside = across @ left
-        along = beside @ (values * weight**2)
-        residuals = (alone - (along[:, None] @ beside)[:, 0]) * r.known.ravel()
-        steps = further.steps(residuals, beside, np.arange(len(those)), taken)
-        found.criterion[those] = steps.products.criterion(*steps.products.noises(taken))
-        found.residuals[those] = (steps.residuals * r.known.ravel()).reshape(-1, n, channels)
-        of_own = ((along + steps.more)[:, None] @ across)[:, 0]
-        of_model = (first + steps.inside - (of_own[:, None] @ inside)[:, 0]) @ turn.T
-        for place, k in enumerate(those):
-            found.beta[k] = np.concatenate([of_model[place], of_own[place, : candidates[k].shape[2]]])
-    return found
+class CandidateFits:
+    """Fits of candidates in addition to one model; what they have in common is made once.
+
+    Args:
+        r: the responses.
+        columns_with: (n, J, p) columns of the model with some candidates beside it.
+    """
+
+    def __init__(self, r: Responses, columns_with: Callable[[Sequence[Candidate]], FloatArray]) -> None:
+        self._r, self._columns_with = r, columns_with
+        self._models: dict[str | None, _ModelFits] = {}
+
+    def of(
+        self, candidates: Sequence[Candidate], own: Sequence[FloatArray], *, with_variance: bool = False
+    ) -> FitsBeside:
+        """Fit the model with each of k candidates.
+
+        Args:
+            candidates: they say which column of the base they replace.
+            own: (n, J, w) columns of each: the candidate's, or more.
+            with_variance: whether the variance of the last coefficient is wanted.
+        """
+        count = len(candidates)
+        residuals = np.empty((count, *self._r.values.shape))
+        found = FitsBeside(np.empty(count), [np.empty(0)] * count, residuals, np.empty(count))
+        alike: dict[str | None, list[int]] = {}
+        for k, candidate in enumerate(candidates):
+            alike.setdefault(candidate.shape.replaces, []).append(k)
+        for replaces, those in alike.items():
+            if replaces not in self._models:
+                one = candidates[those[0]]
+                model = self._columns_with([one])[:, :, : -one.columns.shape[2]]
+                self._models[replaces] = _ModelFits(self._r, model)
+            part = self._models[replaces].with_each([own[k] for k in those], with_variance=with_variance)
+            found.criterion[those], found.residuals[those] = part.criterion, part.residuals
+            found.last_variance[those] = part.last_variance
+            for k, beta in zip(those, part.beta, strict=True):
+                found.beta[k] = beta
+        return found
+
+
+class _ModelFits:
+    """A model (n, J, q), to be fitted with columns in addition."""
+
+    def __init__(self, r: Responses, model: FloatArray) -> None:
+        self._r, self._width, (n, channels) = r, model.shape[2], r.values.shape
+        spread = np.hypot(r.values.std(axis=0), r.rounding)
+        self._weight = np.broadcast_to(1.0 / spread, (n, channels)).ravel()  # white to begin with
+        rows = model.reshape(-1, self._width).T
+        turn = _orthonormal_turn((rows * self._weight)[None])[0]
+        base = turn.T @ rows
+        there = np.any(base != 0.0, axis=1)
+        self._base, self._turn = base[there], turn[:, there]
+        values = r.values.ravel()
+        self._first = self._base @ (values * self._weight**2)
+        self._alone = values - self._first @ self._base
+        self._further = RepeatedSteps(r, self._base)
+
+    def with_each(self, candidates: Sequence[FloatArray], *, with_variance: bool) -> FitsBeside:
+        """Fit the model with each of some columns (n, J, w)."""
+        r, base, weight, (n, channels) = self._r, self._base, self._weight, self._r.values.shape
+        values, known = r.values.ravel(), r.known.ravel()
+        taken = max(1.0, (self._width + max(c.shape[2] for c in candidates)) / channels)
+        count = len(candidates)
+        residuals = np.empty((count, n, channels))
+        found = FitsBeside(np.empty(count), [np.empty(0)] * count, residuals, np.full(count, np.nan))
+        narrow = [k for k, candidate in enumerate(candidates) if candidate.shape[2] <= NARROW]
+        wide = [k for k, candidate in enumerate(candidates) if candidate.shape[2] > NARROW]
+        for those in filter(None, (narrow, wide)):
+            own = np.zeros((len(those), max(candidates[k].shape[2] for k in those), values.size))
+            for place, k in enumerate(those):
+                own[place, : candidates[k].shape[2]] = candidates[k].reshape(values.size, -1).T
+            inside = own @ (base * weight**2).T
+            left = own - inside @ base
+            across = np.swapaxes(_orthonormal_turn(left * weight, own * weight), 1, 2)
+            beside = across @ left
+            along = beside @ (values * weight**2)
+            one_step = (self._alone - (along[:, None] @ beside)[:, 0]) * known
+            steps = self._further.steps(one_step, beside, np.arange(len(those)), taken)
+            found.criterion[those] = steps.products.criterion(*steps.products.noises(taken))
+            found.residuals[those] = (steps.residuals * known).reshape(-1, n, channels)
+            of_own = ((along + steps.more)[:, None] @ across)[:, 0]
+            of_model = (self._first + steps.inside - (of_own[:, None] @ inside)[:, 0]) @ self._turn.T
+            for place, k in enumerate(those):
+                width = candidates[k].shape[2]
+                found.beta[k] = np.concatenate([of_model[place], of_own[place, :width]])
+                if with_variance:
+                    last = np.concatenate([np.zeros(len(base)), across[place, :, width - 1]])
+                    found.last_variance[k] = last @ np.linalg.solve(steps.gram[place], last)
+        return found
 
 
 def _orthonormal_turn(rows: FloatArray, before: FloatArray | None = None) -> FloatArray:
@@ -192,62 +237,111 @@ def slope(r: Responses, candidate: Candidate, beta: FloatArray) -> FloatArray:
     return np.asarray(change[:, :, None], dtype=np.float64)
 
 
-def refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> tuple[Fit, Candidate]:
-    """Refine the nonlinear parameter of a candidate (such as a period) by maximum likelihood.
+class Refined(NamedTuple):
+    """A candidate at its best place, with the criterion and its own coefficients (w,) there."""
+
+    criterion: float
+    own: FloatArray
+    candidate: Candidate
+
+
+class _Wanted(NamedTuple):
+    """A candidate to fit in addition to the model, with columns (n, J, w) of its own."""
+
+    candidate: Candidate
+    columns: FloatArray
+    with_variance: bool
+
+
+class _Answer(NamedTuple):
+    criterion: float
+    own: FloatArray
+    variance: float
+
+
+_Refining = Generator[_Wanted, _Answer, Refined]
+
+
+def refined(r: Responses, accepted: Sequence[Candidate], candidates: Sequence[Candidate]) -> list[Refined]:
+    """Refine the nonlinear parameter (such as a period) of each of some candidates by maximum likelihood.
+
+    All take their steps together, so that one call fits them all.
 
     Returns:
-        The fit of the model with it, and the candidate with the parameter's standard error; a term of a
+        Each by itself in addition to the accepted effects, with the parameter's standard error; a term of a
         series keeps its known parameter.
     """
-    name = candidate.effect.place
+    if not candidates:
+        return []
     model = fitted_model(r, accepted)
-    r, accepted = model.responses, model.accepted
-    fitted = fit(r, model_columns(r, [*accepted, candidate]))
+
+    def columns_with(more: Sequence[Candidate]) -> FloatArray:
+        return model_columns(model.responses, [*model.accepted, *more])
+
+    fits_of = CandidateFits(model.responses, columns_with)
+    refining = {k: _refining(model.responses, model.accepted, c) for k, c in enumerate(candidates)}
+    wanted = {k: next(one) for k, one in refining.items()}
+    found: dict[int, Refined] = {}
+    while wanted:
+        asked = list(wanted.values())
+        with_variance = any(one.with_variance for one in asked)
+        fitted = fits_of.of(
+            [one.candidate for one in asked], [one.columns for one in asked], with_variance=with_variance
+        )
+        answers = zip(wanted.items(), fitted.criterion, fitted.beta, fitted.last_variance, strict=True)
+        wanted = {}
+        for (k, one), criterion, beta, variance in answers:
+            own = beta[-one.columns.shape[2] :]
+            try:
+                wanted[k] = refining[k].send(_Answer(float(criterion), own, float(variance)))
+            except StopIteration as done:
+                found[k] = done.value
+    return [found[k] for k in range(len(candidates))]
+
+
+def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> _Refining:
+    """Gauss-Newton steps of one candidate's place, each as long as it still improves the fit."""
+    name = candidate.effect.place
+    best = yield from _fitted_at(candidate)
     for _ in range(0 if candidate.shape.series else STEPS):
-        step, std = _step(r, accepted, candidate, fitted)
-        place = candidate.shape.at[name]
-        moved, better = candidate, fitted
+        step, std = yield from _step(r, best)
+        place = best.candidate.shape.at[name]
+        start = best
         while abs(step) > CLOSE * std and abs(step) < 0.5 * abs(place):
-            moved = _moved(r, candidate, {**candidate.shape.at, name: place + step})
-            better = fit(r, model_columns(r, [*accepted, moved]))
-            is_better = better.criterion < fitted.criterion and moved.effect.carried(r, moved.shape)
+            moved = _moved(r, candidate, {**start.candidate.shape.at, name: place + step})
+            trial = yield from _fitted_at(moved)
+            is_better = trial.criterion < start.criterion and moved.effect.carried(r, moved.shape)
             if is_better and _is_distinct(r, accepted, moved):
+                best = trial
                 break
             step /= 4.0
-            moved, better = candidate, fitted
-        if moved is candidate:
+        if best is start:
             break
-        candidate, fitted = moved, better
-    _, std = _step(r, accepted, candidate, fitted)
-    return _settled(r, accepted, candidate, fitted, {name: std})
+    else:
+        _, std = yield from _step(r, best)
+    at = candidate.effect.settled(best.candidate.shape.at, {name: std})
+    if at != best.candidate.shape.at:
+        settled = _moved(r, candidate, at)
+        if _is_distinct(r, accepted, settled):
+            best = yield from _fitted_at(settled)
+    here = best.candidate
+    return best._replace(candidate=replace(here, shape=replace(here.shape, at_std={name: std})))
+
+
+def _fitted_at(candidate: Candidate) -> _Refining:
+    answer = yield _Wanted(candidate, candidate.columns, with_variance=False)
+    return Refined(answer.criterion, answer.own, candidate)
+
+
+def _step(r: Responses, one: Refined) -> Generator[_Wanted, _Answer, tuple[float, float]]:
+    """By how much the place should move, and its standard error."""
+    columns = np.concatenate([one.candidate.columns, slope(r, one.candidate, one.own)], axis=2)
+    answer = yield _Wanted(one.candidate, columns, with_variance=True)
+    return float(answer.own[-1]), math.sqrt(max(answer.variance, 0.0))
 
 
 def _is_distinct(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> bool:
     return all(candidate.is_distinct(r, other) for other in accepted)
-
-
-def _step(
-    r: Responses, accepted: Sequence[Candidate], candidate: Candidate, fitted: Fit
-) -> tuple[float, float]:
-    """By how much the place should move, and its standard error."""
-    own = fitted.beta[-candidate.columns.shape[2] :]
-    columns = np.concatenate(
-        [model_columns(r, [*accepted, candidate]), slope(r, candidate, own)],
-        axis=2,
-    )
-    moving = fit(r, columns)
-    return float(moving.beta[-1]), math.sqrt(max(float(moving.covariance[-1, -1]), 0.0))
-
-
-def _settled(
-    r: Responses, accepted: Sequence[Candidate], candidate: Candidate, fitted: Fit, std: Parameters
-) -> tuple[Fit, Candidate]:
-    at = candidate.effect.settled(candidate.shape.at, std)
-    settled = candidate if at == candidate.shape.at else _moved(r, candidate, at)
-    if settled is not candidate and _is_distinct(r, accepted, settled):
-        candidate = settled
-        fitted = fit(r, model_columns(r, [*accepted, candidate]))
-    return fitted, replace(candidate, shape=replace(candidate.shape, at_std=std))
 
 
 def _moved(r: Responses, candidate: Candidate, at: Parameters) -> Candidate:
@@ -420,16 +514,18 @@ def _alike(
     known beforehand, such as an order of the turn, is likelier than one among many by what a scan costs.
     """
     effect = claimed.effect
-    best, own = refined(r, accepted, claimed)
-    found = [(best.criterion, own)]
-    for at in effect.look_alikes(r, own.shape):
-        for shape in effect.forms(r, at):
-            fitted, other = refined(r, accepted, candidate_at(r, claimed, shape))
-            others = [*accepted, *(c for _, c in found)]
-            apart = all(other.is_distinct(r, c) for c in others)
-            carried = apart and effect.carried(r, other.shape)
-            if carried and other.is_possible(fitted.beta[-other.columns.shape[2] :]):
-                found.append((fitted.criterion, other))
+    (best,) = refined(r, accepted, [claimed])
+    found = [(best.criterion, best.candidate)]
+    alike = [
+        candidate_at(r, claimed, shape)
+        for at in effect.look_alikes(r, best.candidate.shape)
+        for shape in effect.forms(r, at)
+    ]
+    for criterion, own, other in refined(r, accepted, alike):
+        others = [*accepted, *(c for _, c in found)]
+        carried = _is_distinct(r, others, other) and effect.carried(r, other.shape)
+        if carried and other.is_possible(own):
+            found.append((criterion, other))
     least = min(criterion for criterion, _ in found)
     equal = [c for criterion, c in found if criterion - least < MARGIN]
     penalised = [(criterion + np.log(len(r)) * c.parameters, c) for criterion, c in found]
@@ -497,7 +593,11 @@ def _ranked(
     # what is not linear gains more than the screen can tell
     bent = [index for index in order[SHORTLIST:] if offered[index].effect.not_linear is not None]
     shortlist = [offered[index] for index in (*order[:SHORTLIST], *bent)]
-    shortlist = [_refined(r, accepted, c, leads=k == 0) for k, c in enumerate(shortlist)]
+    moved = [k for k, c in enumerate(shortlist) if _has_place(c)]
+    for k, one in zip(moved, refined(r, accepted, [shortlist[k] for k in moved]), strict=True):
+        shortlist[k] = one.candidate
+    if shortlist and moved[:1] != [0]:
+        shortlist[0] = at_best_place(r, accepted, shortlist[0])
     ranked = []
     for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
         penalised = criterion + bic_penalty * c.parameters
@@ -511,8 +611,13 @@ def _first_best(values: FloatArray) -> int:
     return int(np.flatnonzero(values >= values.max() - SAME)[0])
 
 
-def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, *, leads: bool) -> Candidate:
-    """Return a leading candidate at the best place between those scanned."""
+def _has_place(candidate: Candidate) -> bool:
+    """Return whether the likelihood refines a place of a candidate."""
+    return candidate.effect.place != "" and candidate.beside is None and not candidate.shape.series
+
+
+def at_best_place(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> Candidate:
+    """Return a candidate at the best place between those scanned."""
 
     def of(shape: Shape) -> Candidate:
         return candidate_at(r, candidate, shape)
@@ -520,8 +625,8 @@ def _refined(r: Responses, accepted: Sequence[Candidate], candidate: Candidate, 
     def criterion(shape: Shape) -> float:
         return fitted_model(r, [*accepted, of(shape)]).fitted.criterion
 
-    if candidate.effect.place and candidate.beside is None and not candidate.shape.series:
-        return refined(r, accepted, candidate)[1]
-    refine = candidate.effect.refine if leads and candidate.beside is None else None
+    if _has_place(candidate):
+        return refined(r, accepted, [candidate])[0].candidate
+    refine = None if candidate.beside is not None else candidate.effect.refine
     finer = refine and refine(r, candidate.shape, criterion)
     return candidate if finer is None else of(finer)

@@ -88,7 +88,7 @@ def forward_step(
         rivals: in a fold, the competing candidates of all poses; no other pairs are tried.
     """
     if best.candidate.beside is None:
-        shown = [k for k, c in enumerate(verdict.candidates) if rivals is None or c.label in rivals]
+        shown = [k for k, c in enumerate(verdict.candidates) if rivals is None or c.label in rivals.labels]
         offered = [verdict.candidates[k] for k in shown]
         two = pair(r, accepted, offered, verdict.ratios[shown], best)
         of_second = two and judged(fitted_model(r, [*accepted, two[0]]))

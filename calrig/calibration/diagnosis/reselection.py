@@ -9,14 +9,14 @@ explained since.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect, named
+from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect, at_best_place, named
 from calrig.calibration.diagnosis.candidates import Candidate, own_columns
-from calrig.calibration.diagnosis.screen import Screen
+from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.regression.channels import READING
 from calrig.calibration.regression.effect import HIDDEN, Parameters
@@ -27,30 +27,81 @@ from calrig.estimation.angles import FloatArray
 HOPELESS = 80.0
 """Difference of the criterion beyond which a candidate no longer competes with an effect of all poses; with a
 quarter of the poses left out, the same candidate is some 60 behind."""
-Rivals = Mapping[str, Collection[str]]
-"""Labels of competing candidates, by the label of the effect."""
+COMPETING_SHARE, SURPASSED_SHARE = 0.4, 0.6
+"""Of an effect's gain on the screen, what a scanned place must reach to compete with it in a fold, and what
+no competitor reaches where an effect is not compared again: a place between two scanned ones gains a quarter
+more at most, and the screen, which has the null's noise, misses no tenth."""
+SAME = 0.05
+"""Of −2 log likelihood on the screen: columns that say the same in these poses, under two names."""
 
 
-def competing_candidates(found: Sequence[SelectedEffect]) -> Rivals:
-    """Return the competing candidates of each selected effect: those within ΔBIC 80 of it on all poses.
+@dataclass(frozen=True, slots=True)
+class Rivals:
+    """What a search of all poses leaves to be compared with its effects.
+
+    Attributes:
+        labels: of competing candidates, by the label of the effect.
+        places: keys of scanned candidates that compete with any of the effects.
+    """
+
+    labels: Mapping[str, Collection[str]]
+    places: Collection[object]
+
+
+def competing_candidates(
+    r: Responses, candidates: Sequence[Candidate], found: Sequence[SelectedEffect]
+) -> Rivals:
+    """Return the competing candidates of the selected effects: those within ΔBIC 80 on all poses.
 
     All other selected effects are among them, singly and in pairs: until those enter, the effect may stand in
     for them. A fold reconsiders an entered effect only against these.
+
+    Args:
+        r: the poses.
+        candidates: of these poses.
+        found: the effects of the final model.
     """
     labels = [f.candidate.label for f in found]
     every = {*labels, *(" + ".join(two) for two in permutations(labels, 2))}
-    return {
-        f.candidate.label: every.union(label for label, behind in f.considered if behind < HOPELESS)
-        for f in found
-    }
+    near: dict[str, set[str]] = {label: set(every) for label in labels}
+    scanned = [c for c in candidates if _is_scanned(c)]
+    places = {_key(c) for c in scanned if any(_is_at_place_of(r, c, f.candidate) for f in found)}
+    for f in found:
+        near[f.candidate.label].update(label for label, behind in f.considered if behind < HOPELESS)
+        if scanned:
+            others = _others(found, f)
+            model = fitted_model(r, others)
+            several = [*offered(model.responses, scanned, others, set()), f.candidate]
+            ratios = Screen(r, model.columns, several, model.fitted.noise).once(model.fitted.residuals)
+            close = np.flatnonzero(ratios >= COMPETING_SHARE * ratios[-1])
+            places.update(_key(several[k]) for k in close.tolist())
+    return Rivals(near, places)
+
+
+def _is_scanned(candidate: Candidate) -> bool:
+    """Return whether a candidate is one of many places of one nonlinear parameter."""
+    return candidate.beside is None and candidate.shape.scanned
+
+
+def _key(candidate: Candidate) -> object:
+    return candidate.label, candidate.shape.form, tuple(candidate.shape.at.items())
+
+
+def _is_at_place_of(r: Responses, c: Candidate, other: Candidate) -> bool:
+    """Return whether a candidate is another one at its place, or so near that these poses see one."""
+    if c.label != other.label or c.beside is not None:
+        return False
+    return _key(c) == _key(other) if c.effect.distinct is None else not c.is_distinct(r, other)
 
 
 def near_among(
     candidates: Sequence[Candidate], one: SelectedEffect, rivals: Rivals | None
 ) -> Sequence[Candidate]:
     """Return the candidates that compete with an effect; all, where its competitors are not known."""
-    near = None if rivals is None else rivals.get(one.candidate.label)
-    return candidates if near is None else [c for c in candidates if c.label in near]
+    near = None if rivals is None else rivals.labels.get(one.candidate.label)
+    if rivals is None or near is None:
+        return candidates
+    return [c for c in candidates if c.label in near and (not _is_scanned(c) or _key(c) in rivals.places)]
 
 
 def penalised_criterion(r: Responses, model: Sequence[Candidate]) -> float:
@@ -135,7 +186,8 @@ def reselected(
             others = _places(_others(found, one))
             if held.get(one) == others:
                 continue
-            found = _against_rivals(r, near_among(candidates, one, rivals), found, one, curves=curves)
+            near = near_among(candidates, one, rivals)
+            found = _against_rivals(r, near, found, one, in_fold=rivals is not None, curves=curves)
             held.update({f: others for f in found if _places(_others(found, f)) == others})
         if [f.candidate.label for f in found] == before:
             break
@@ -162,8 +214,14 @@ def _against_rivals(
     found: list[SelectedEffect],
     one: SelectedEffect,
     *,
+    in_fold: bool,
     curves: bool,
 ) -> list[SelectedEffect]:
+    """Replace an effect by the best of its competitors, with all others in the model.
+
+    In a fold, which is asked for its model alone, an effect that leads far on the screen only moves to its
+    best place.
+    """
     others = _others(found, one)
     rivals = [
         c
@@ -174,10 +232,24 @@ def _against_rivals(
         rivals = [c for c in rivals if c.named]
     model = fitted_model(r, others)
     ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)
-    again = named(r, others, rivals, ratios, one.p_value, one.candidate)
+    if in_fold and _leads_far(r, rivals, ratios, one.candidate):
+        again = replace(one, candidate=at_best_place(r, others, one.candidate))
+    else:
+        again = named(r, others, rivals, ratios, one.p_value, one.candidate)
     place = next(k for k, f in enumerate(found) if f is one)
     members = [replace(again, candidate=member) for member in again.candidate.members]
     return [*found[:place], *members, *found[place + 1 :]]
+
+
+def _leads_far(r: Responses, rivals: Sequence[Candidate], ratios: Float32Array, incumbent: Candidate) -> bool:
+    """Return whether no rival comes near an effect on the screen but places of its own, or equal columns."""
+    penalised = ratios - float(np.log(len(r))) * np.array([c.parameters for c in rivals])
+    own = np.array([_is_at_place_of(r, c, incumbent) for c in rivals], dtype=bool)
+    if not own.any():
+        return False
+    gain = float(penalised[own].max())
+    others = penalised[~own & (np.abs(penalised - gain) > SAME)]
+    return float(others.max(initial=-np.inf)) < SURPASSED_SHARE * gain - MARGIN
 
 
 def with_known_places(

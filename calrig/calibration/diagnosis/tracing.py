@@ -103,7 +103,7 @@ def diagnose(
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
         of_folds = within(progress, 1.0 / (1.0 + FOLDS), 1.0)  # the search over all poses has been done
-        rivals = competing_candidates(findings.found)
+        rivals = competing_candidates(left, of_kept, findings.found)
         held_out = cross_validate(left, of_kept, rng, rivals, findings.noises, of_folds)
         findings, held_out, harm = without_harm(findings, held_out)
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)

@@ -355,13 +355,15 @@ class Steps(NamedTuple):
     """What all steps leave of m responses: residuals (m, n·J), and their products.
 
     By how much coefficients changed since the first step: `inside` (m, q) those of the model, `more` (m, w)
-    those beside it.
+    those beside it. Of all of them `gram` (m, q + w, q + w) has the last step's weighted products, the
+    inverse of their covariance.
     """
 
     residuals: FloatArray
     products: LaggedProducts
     inside: FloatArray
     more: FloatArray
+    gram: FloatArray
 
 
 class RepeatedSteps:
@@ -408,7 +410,7 @@ class RepeatedSteps:
             residuals = left - inside[:, :q] @ self._model
             residuals -= (inside[:, None, q:] @ beside[at])[:, 0]
             products = lagged_products(residuals.reshape(-1, *r.values.shape), r.starts, r.rounding)
-        return Steps(residuals, products, inside[:, :q], inside[:, q:])
+        return Steps(residuals, products, inside[:, :q], inside[:, q:], gram)
 
 
 def _weights(rotation: FloatArray, rho: FloatArray) -> FloatArray:
