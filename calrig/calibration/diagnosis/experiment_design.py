@@ -36,6 +36,10 @@ TURN_THE_UNIT = (
     "turn the unit by 90° or 180° on the stage and calibrate again: what turns with it is the sensor's, what "
     "stays is the stage's"
 )
+STAND_STILL = (
+    "no run of poses was designed: calibrate again with the stage at rest at each pose, approached from both "
+    "sides; a delay of the readings vanishes there, and backlash does not"
+)
 COOL_THE_UNIT = (
     "let the unit cool down and calibrate again: what comes back with the temperature is the unit's"
 )
@@ -116,6 +120,8 @@ def design(
     if any(pose.mount_deg for run in runs for pose in run):
         return "a run that separates suspects is designed for a unit clamped at 0° alone"
     suspects = [found.candidate, *found.rivals]
+    if any(suspect.effect.late_by_deg is not None for suspect in suspects):
+        return STAND_STILL
     others = [f.candidate for f in findings.found if f is not found]
     trial = _Trial(runs, findings, others, suspects)
     rng = np.random.default_rng(seed)

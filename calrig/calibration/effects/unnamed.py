@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -241,7 +242,7 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
     yield from _of_one(r.theta_deg, "target_deg", tilted)
     for count in MORE_KNOTS:
         if len(r) >= POSES_A_KNOT * count and len(np.unique(r.theta_deg)) > count + 1:
-            yield _shape(tilted(natural_spline(r.theta_deg, count)), "target_deg", f"smooth {count}")
+            yield _of_function(_curve(r.theta_deg, count), r.theta_deg, "target_deg", f"smooth {count}")
     if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
         for count in KNOTS:
             by_side = (natural_spline(r.theta_deg, count).T * r.approach).T
@@ -267,13 +268,37 @@ def _shape(
 
 def _of_one(z: FloatArray, name: str, seen_by: Shares) -> Iterator[Shape]:
     for count in _counts(z):
-        yield _shape(seen_by(natural_spline(z, count)), name, f"smooth {count}")
+        yield _of_function(_curve(z, count), z, name, f"smooth {count}", seen_by)
     if len(np.unique(z)) < FEWEST_VALUES:
         return
     for place in np.unique(np.quantile(z, PLACES)):
         at = {"at": float(place)}
-        yield _shape(seen_by(np.maximum(z - place, 0.0) / np.ptp(z)), name, "kink", at)
-        yield _shape(seen_by((z >= place).astype(float)), name, "step", at)
+        yield _of_function(partial(_kink, place=place, span=np.ptp(z)), z, name, "kink", seen_by, at)
+        yield _of_function(partial(_step, place=place), z, name, "step", seen_by, at)
+
+
+def _of_function(
+    f: Callable[[FloatArray], FloatArray],
+    z: FloatArray,
+    name: str,
+    form: str,
+    seen_by: Shares = tilted,
+    at: Parameters | None = None,
+) -> Shape:
+    shape = _shape(seen_by(f(z)), name, form, at)
+    return replace(shape, at_elevation=f) if name == "target_deg" else shape
+
+
+def _curve(z: FloatArray, count: int) -> Callable[[FloatArray], FloatArray]:
+    return partial(natural_spline, count=count, over=z)
+
+
+def _kink(z: FloatArray, place: float, span: float) -> FloatArray:
+    return np.asarray(np.maximum(z - place, 0.0) / span, dtype=np.float64)
+
+
+def _step(z: FloatArray, place: float) -> FloatArray:
+    return np.asarray(z >= place, dtype=np.float64)
 
 
 def _counts(z: FloatArray) -> list[int]:
@@ -309,13 +334,16 @@ def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
         yield _shape(tilted(waves), "time_s", "cycle", {"period": float(1.0 / frequency)})
 
 
-def natural_spline(z: FloatArray, count: int) -> FloatArray:
+def natural_spline(z: FloatArray, count: int, over: FloatArray | None = None) -> FloatArray:
     """Return (n, ≤ count) basis of the natural cubic splines with knots at quantiles, the constant left out.
+
+    The quantiles are those of z, or of the values (m,) that the curve goes `over`.
 
     Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, equations 5.4 and 5.5.
     """
-    u = (z - z.min()) / np.ptp(z)
-    knots = np.unique(np.quantile(u, np.linspace(0.0, 1.0, count + 1)))
+    over = z if over is None else over
+    u, all_along = ((values - over.min()) / np.ptp(over) for values in (z, over))
+    knots = np.unique(np.quantile(all_along, np.linspace(0.0, 1.0, count + 1)))
     if len(knots) < 3:
         return np.asarray(u[:, None], dtype=np.float64)
     last = knots[-1]

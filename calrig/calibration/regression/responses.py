@@ -93,6 +93,7 @@ class Responses:
         across_g: (n,) acceleration along the stage's axis, where the accelerometer has a third one. It says
             how far askew a unit sits, as each does: no response, for it would name effects that are none.
         arc_deg: that the elevations span.
+        is_delayed: whether `theta_deg` are the elevations that late readings stand for.
     """
 
     run: npt.NDArray[np.intp]
@@ -117,6 +118,7 @@ class Responses:
     rounding: FloatArray
     warnings: tuple[str, ...] = field(default=())
     across_g: FloatArray | None = None
+    is_delayed: bool = False
     arc_deg: float = field(init=False)
 
     def __post_init__(self) -> None:
