@@ -74,9 +74,10 @@ def test_a_log_taken_on_the_move_tells_the_sense_of_its_motion_and_has_no_moves(
     assert np.isnan(moves_deg(poses)).all()
 
 
-def test_readings_that_come_late_in_a_log_without_velocities_are_named_with_their_delay():
+def test_readings_that_come_late_in_a_log_without_velocities_are_traced_to_their_delay():
+    """At one speed a backlash looks the same, but for a few readings next to abrupt reversals."""
     (effect,) = document(diagnose([on_the_move(UNEVEN_S)], bootstraps=199, cross_fit=False), ["1"])["effects"]
-    assert (effect["name"], effect["verdict"]) == ("latency", "named")
+    assert (effect["name"], effect["confusable_with"]) == ("latency", ["backlash"])
     delay = effect["parameters"]["delay_s"]
     assert delay["value"] == pytest.approx(DELAY_S, abs=4.0 * delay["std"])
 

@@ -25,7 +25,13 @@ from calrig.calibration.diagnosis.candidates import (
     side_by_side,
 )
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
-from calrig.calibration.diagnosis.sensor_model import MOST_STEPS, NEGLIGIBLE, Curve, fitted_model
+from calrig.calibration.diagnosis.sensor_model import (
+    MOST_STEPS,
+    NEGLIGIBLE,
+    Curve,
+    fitted_model,
+    is_shift_seen,
+)
 from calrig.calibration.regression.effect import Parameters, Shape
 from calrig.calibration.regression.noise_model import RepeatedSteps, fit, fits, orthonormal
 from calrig.calibration.regression.responses import Responses
@@ -448,11 +454,14 @@ def named(
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
-    claimed = (staying or named or near)[0]
-    rivals = _rivals(ranked, claimed) if claimed.named else ()
-    alike: tuple[Candidate, ...] = ()
+    # A delay shifts all other effects: where it is alike to the best, it is claimed before that.
+    late = [c for c in named if c.effect.late_by_deg is not None and c.name in named[0].shape.alike]
+    claimed = (staying or late or named or near)[0]
+    alike = () if is_shift_seen(r, accepted, claimed) else claimed.shape.alike
+    rivals = _rivals(ranked, claimed, alike) if claimed.named else ()
+    elsewhere: tuple[Candidate, ...] = ()
     if claimed.effect.place and claimed.beside is None:
-        (claimed, *others), alike = _alike(r, accepted, claimed)
+        (claimed, *others), elsewhere = _alike(r, accepted, claimed)
         rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
     rest = [criterion for criterion, c in ranked if c.kind != claimed.kind and c.named]
@@ -463,7 +472,7 @@ def named(
             considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     runners_up = _runners_up(ranked, claimed)
     told = tuple(considered.items())
-    return SelectedEffect(claimed, rivals, p_value, float(lead), told, runners_up, alike=alike)
+    return SelectedEffect(claimed, rivals, p_value, float(lead), told, runners_up, alike=elsewhere)
 
 
 def _forms(offered: Sequence[Candidate], label: str) -> int:
@@ -488,8 +497,10 @@ def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
     )
 
 
-def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
-    """The best of each other name within `MARGIN` of the best, and a shape without a name that leads."""
+def _rivals(
+    ranked: Sequence[tuple[float, Candidate]], claimed: Candidate, alike: Sequence[str]
+) -> tuple[Candidate, ...]:
+    """Return the best of each other name that is near or `alike`, and a nameless shape that leads."""
     best, leader = ranked[0]
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
@@ -497,7 +508,7 @@ def _rivals(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tu
         # the claimed one, and another; what it is, whenever it came
         more = any(member.kind == claimed.kind for member in c.members)
         paid = COMPANION_MARGIN if len(c.members) > len(claimed.members) else 0.0
-        near = criterion + paid - best < MARGIN or c.name in claimed.shape.alike
+        near = criterion + paid - best < MARGIN or c.name in alike
         if c.named and not more and first.kind not in claimed.kind and near:
             others.setdefault(first.label, first)
     if not leader.named:

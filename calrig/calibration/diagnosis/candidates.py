@@ -11,6 +11,7 @@ from itertools import accumulate, combinations
 import numpy as np
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.regression.channels import ANGLE, READING
 from calrig.calibration.regression.effect import ELEVATION, HIDDEN, Effect, Parameters, Shape
 from calrig.calibration.regression.responses import Change, Responses
 from calrig.calibration.regression.run_changes import (
@@ -20,6 +21,7 @@ from calrig.calibration.regression.run_changes import (
     changed_shapes,
     in_words,
     shapes_of,
+    since,
 )
 from calrig.estimation.angles import FloatArray
 
@@ -157,6 +159,29 @@ def candidate_at(r: Responses, candidate: Candidate, shape: Shape) -> Candidate:
     """Another shape of a candidate's effect, with a change between the same runs."""
     (here,) = changed_shapes(r, candidate.changed, [shape])
     return candidate_of(r, candidate.effect, here)
+
+
+def shares_at(r: Responses, candidate: Candidate, theta_deg: FloatArray) -> FloatArray:
+    """Return (n, p) of what a function of the elevation adds to readings that stand for elevations (n,)."""
+    at_elevation, changed = candidate.shape.at_elevation, candidate.changed
+    assert at_elevation is not None  # noqa: S101 (the caller chose it by that)
+    shares = at_elevation(theta_deg).reshape(len(r), -1)
+    return shares if changed is None else shares * since(r, changed)[:, None]
+
+
+def at_its_elevations(r: Responses, candidate: Candidate) -> Candidate:
+    """Return a candidate as readings have it that are late: at the elevations that they stand for."""
+    beside = candidate.beside and at_its_elevations(r, candidate.beside)
+    columns = candidate.columns
+    before = 0 if beside is None else beside.columns.shape[2]
+    if beside is not None or candidate.shape.at_elevation is not None:
+        columns = columns.copy()
+    if beside is not None:
+        columns[:, :, :before] = beside.columns
+    if candidate.shape.at_elevation is not None:
+        late = [r.channels.index(name) for name in (READING, ANGLE) if name in r.channels]
+        columns[:, late, before:] = shares_at(r, candidate, r.theta_deg)[:, None]
+    return candidate if columns is candidate.columns else replace(candidate, columns=columns, beside=beside)
 
 
 def candidates_of(r: Responses) -> list[Candidate]:

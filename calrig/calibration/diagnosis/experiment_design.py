@@ -37,6 +37,10 @@ TURN_THE_UNIT = (
     "stays is the stage's"
 )
 OTHER_PLACES = "take poses at other angles, unevenly spaced: what looks alike at these comes apart there"
+STAND_STILL = (
+    "no run of poses was designed: calibrate again with the stage at rest at each pose, approached from both "
+    "sides; a delay of the readings vanishes there, and backlash does not"
+)
 COOL_THE_UNIT = (
     "let the unit cool down and calibrate again: what comes back with the temperature is the unit's"
 )
@@ -117,6 +121,8 @@ def design(
     if any(pose.mount_deg for run in runs for pose in run):
         return "a run that separates suspects is designed for a unit clamped at 0° alone"
     suspects = [found.candidate, *found.rivals]
+    if any(suspect.effect.late_by_deg is not None for suspect in suspects):
+        return STAND_STILL
     others = [f.candidate for f in findings.found if f is not found]
     trial = _Trial(runs, findings, others, suspects)
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ from itertools import permutations
 import numpy as np
 
 from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect, at_best_place, named
-from calrig.calibration.diagnosis.candidates import Candidate, own_columns
+from calrig.calibration.diagnosis.candidates import Candidate, at_its_elevations, own_columns
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.regression.channels import READING
@@ -146,7 +146,8 @@ def offered(
             return False
         return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
-    return [c for c in candidates if c.label not in refused and may_enter(c)]
+    allowed = [c for c in candidates if c.label not in refused and may_enter(c)]
+    return [at_its_elevations(r, c) for c in allowed] if r.is_delayed else allowed
 
 
 def _enters_once(c: Candidate) -> bool:
@@ -223,14 +224,14 @@ def _against_rivals(
     best place.
     """
     others = _others(found, one)
+    model = fitted_model(r, others)
     rivals = [
         c
-        for c in offered(r, candidates, others, set())
+        for c in offered(model.responses, candidates, others, set())
         if c.beside is None or c.shape.series or (_brings(c, one) and not is_on_trial(c))
     ]
     if one.candidate.shape.series and not curves:  # a curve takes a little from every order of a turn
         rivals = [c for c in rivals if c.named]
-    model = fitted_model(r, others)
     ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)
     if in_fold and _leads_far(r, rivals, ratios, one.candidate):
         again = replace(one, candidate=at_best_place(r, others, one.candidate))

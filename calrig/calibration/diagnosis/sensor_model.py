@@ -15,7 +15,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, replaced
+from calrig.calibration.diagnosis.candidates import (
+    Candidate,
+    model_columns,
+    own_columns,
+    replaced,
+    shares_at,
+)
 from calrig.calibration.regression.channels import ANGLE, MOVE, NORM, READING, SCALE_UNIT_DEG
 from calrig.calibration.regression.effect import (
     TURNS_THE_SENSOR,
@@ -70,6 +76,74 @@ class NonlinearTerms:
         return slope
 
 
+DELAY_STEP = 1e-2
+"""Of a delay, to see what it does there."""
+
+
+class Delay:
+    """What a delay adds to the responses, of all coefficients (p,): all that follows the elevation is late.
+
+    Args:
+        r: the responses.
+        members: the effects of a model.
+        own: where the coefficients of each lie among all.
+        names: of the base's columns.
+    """
+
+    def __init__(
+        self, r: Responses, members: Sequence[Candidate], own: Sequence[slice], names: Sequence[str]
+    ) -> None:
+        placed = list(zip(members, own, strict=True))
+        late = [(m, at) for m, at in placed if m.effect.late_by_deg is not None and m.changed is None]
+        self.is_there = bool(late) and not r.is_delayed
+        self.late: list[int] = []
+        self.moved: list[tuple[Candidate, slice]] = []
+        if not self.is_there:
+            return
+        self._r, (delay, at) = r, late[0]
+        self._late_by_deg, self.at = delay.effect.late_by_deg, at.start
+        channels = [name for name in (READING, ANGLE) if name in delay.shape.shares and name in r.channels]
+        self.late = [r.channels.index(name) for name in channels]
+        self.is_of_all: bool = ANGLE not in r.channels or ANGLE in delay.shape.shares
+        self._scales = [
+            (r.channels.index(name), names.index(f"{name}.scale"))
+            for name in channels
+            if f"{name}.scale" in names
+        ]
+        self.moved = [(m, at) for m, at in placed if m.shape.at_elevation is not None]
+
+    def elevation_deg(self, beta: FloatArray) -> FloatArray:
+        """Return (n,) elevations that the readings stand for."""
+        assert self._late_by_deg is not None  # noqa: S101 (so it was chosen)
+        return np.asarray(self._r.theta_deg - self._late_by_deg(self._r, float(beta[self.at])))
+
+    def over(self, beta: FloatArray) -> FloatArray:
+        """Return (n, J) the delay itself, what it does to the scale, and the effects that it moves."""
+        theta_deg = self.elevation_deg(beta)
+        late_deg = theta_deg - self._r.theta_deg
+        over = np.zeros_like(self._r.values)
+        over[:, self.late] = late_deg[:, None]
+        for channel, k in self._scales:
+            over[:, channel] += beta[k] / SCALE_UNIT_DEG * late_deg
+        for member, at in self.moved:
+            over[:, self.late] += (shares_at(self._r, member, theta_deg) @ beta[at])[:, None]
+        return over
+
+    def slope(self, beta: FloatArray) -> FloatArray:
+        """Return (n, J, p) its derivative, by central differences of the delay."""
+        theta_deg = self.elevation_deg(beta)
+        slope = np.zeros((*self._r.values.shape, len(beta)))
+        change = np.zeros(len(beta))
+        change[self.at] = DELAY_STEP * max(abs(float(beta[self.at])), STEP)
+        ahead, behind = self.over(beta + change), self.over(beta - change)
+        slope[:, :, self.at] = (ahead - behind) / (2.0 * change[self.at])
+        for channel, k in self._scales:
+            slope[:, channel, k] = (theta_deg - self._r.theta_deg) / SCALE_UNIT_DEG
+        for member, at in self.moved:
+            slope[:, self.late, at] = shares_at(self._r, member, theta_deg)[:, None]
+        return slope
+
+
 GAIN = f"{MOVE}.gain"
 
 
@@ -113,6 +187,8 @@ NEGLIGIBLE = 0.03
 """Of a channel's residuals: what is less than that from being linear is as good as linear."""
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
+DISTANCE = 30.0
+"""In −2 log likelihood, between two names that a search tells from each other."""
 KEPT = 8
 """Models that a search may ask for again."""
 """By which a parameter changes the reading (°) or |accelerometer| (g) to see what it does there."""
@@ -182,6 +258,30 @@ def parts_deg(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> 
     return parts
 
 
+def is_shift_seen(r: Responses, accepted: Sequence[Candidate], shifting: Candidate) -> bool:
+    """Return whether effects of the elevation in a model tell if they are shifted by another effect, or not.
+
+    Args:
+        r: the responses.
+        accepted: the effects of the model.
+        shifting: the other effect, a backlash or a delay.
+    """
+    moved = [m for c in accepted for m in c.members if m.shape.at_elevation is not None]
+    if not moved:
+        return False
+    model = [*accepted, shifting]
+    fitted = fitted_model(r, model).fitted
+    there = r.theta_deg + parts_deg(r, model, fitted.beta)[-1]
+    members = [m for c in model for m in c.members]
+    change_deg = np.zeros(len(r))
+    for member, at in zip(members, own_columns(model_columns(r, model), members), strict=True):
+        if member.shape.at_elevation is not None:
+            change = shares_at(r, member, there) - shares_at(r, member, r.theta_deg)
+            change_deg += change @ fitted.beta[at]
+    noise_deg = np.hypot(fitted.residuals[:, 0].std(), r.rounding[0])
+    return bool(change_deg @ change_deg > DISTANCE * noise_deg**2)
+
+
 def _fitted(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
     columns = model_columns(r, accepted)
     return Model(r, accepted, columns, fit(r, columns))
@@ -210,7 +310,13 @@ class Curve:
             self._straight[:, :, at] = 0.0
         self._moves = FeltMoves(self._straight, self._names, r.channels)
         self._nonlinear_terms = NonlinearTerms(r, self._members, self._member_at)
-        self.bends = bool(self._on_axes) or self._moves.bends or self._nonlinear_terms.bends
+        self._delay = Delay(r, self._members, self._member_at, self._names)
+        if self._delay.is_there:
+            self._straight[:, :, self._delay.at] = 0.0
+            for _, at in self._delay.moved:
+                self._straight[:, self._delay.late, at] = 0.0
+        bends = (self._moves.bends, self._nonlinear_terms.bends, self._delay.is_there)
+        self.bends = bool(self._on_axes) or any(bends)
 
     def _placed(self) -> tuple[FloatArray, FloatArray]:
         """Return (n, p) what turns the sensor itself, degrees, and what its vector is longer by, g."""
@@ -252,7 +358,8 @@ class Curve:
 
     def _bent(self, beta: FloatArray) -> FloatArray:
         """Return (n, J) what is not linear in the coefficients."""
-        return self._on_axes_of(beta) + self._moves.over(beta) + self._nonlinear_terms.over(beta)
+        bent = self._on_axes_of(beta) + self._moves.over(beta) + self._nonlinear_terms.over(beta)
+        return bent + self._delay.over(beta) if self._delay.is_there else bent
 
     def residuals(self, beta: FloatArray) -> FloatArray:
         """Return (n, J) what the model leaves of the measured responses."""
@@ -270,7 +377,11 @@ class Curve:
             replace(candidate, columns=columns[:, :, at])
             for candidate, at in zip(self._accepted, self.own, strict=True)
         )
-        return replace(self._r, values=values, base=base), accepted
+        straight = replace(self._r, values=values, base=base)
+        if self._delay.is_there and self._delay.is_of_all:
+            theta_deg = self._delay.elevation_deg(beta)
+            straight = replace(straight, theta_deg=theta_deg, is_delayed=True)
+        return straight, accepted
 
     def _error(self, beta: FloatArray, felt_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (n,) of a_y and a_z, all effects together."""
@@ -296,7 +407,10 @@ class Curve:
         return there * error_y, there * error_z
 
     def _felt_deg(self, beta: FloatArray) -> FloatArray:
-        return np.asarray(self._r.theta_deg + self._felt @ beta)
+        theta_deg = self._r.theta_deg
+        if self._delay.is_there and self._delay.is_of_all:
+            theta_deg = self._delay.elevation_deg(beta)
+        return np.asarray(theta_deg + self._felt @ beta)
 
     def _on_axes_of(self, beta: FloatArray) -> FloatArray:
         """Return (n, J) what the effects on the sensor's axes do together."""
@@ -338,4 +452,5 @@ class Curve:
                 turns[:, k] += turned
                 lengths[:, k] += size * lengthened
         of_axes = self._r.columns({READING: turns, ANGLE: turns, NORM: lengths})
-        return of_axes + self._moves.slope(beta) + self._nonlinear_terms.slope(beta)
+        slope = of_axes + self._moves.slope(beta) + self._nonlinear_terms.slope(beta)
+        return slope + self._delay.slope(beta) if self._delay.is_there else slope

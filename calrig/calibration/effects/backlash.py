@@ -29,7 +29,9 @@ TURNED_DEG = 1e-9
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if r.approach is not None and {-1.0, 1.0} <= set(r.approach):
-        yield Shape(turned(r, r.approach / 2.0), ("backlash_deg",))
+        at_one_speed = r.motion is not None and r.motion.has_one_speed
+        alike = ("latency",) if at_one_speed else ()
+        yield Shape(turned(r, r.approach / 2.0), ("backlash_deg",), alike=alike)
 
 
 def _in_play(r: Responses, beta: FloatArray) -> Mapping[str, FloatArray]:

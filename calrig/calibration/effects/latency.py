@@ -1,25 +1,38 @@
 """Readings taken on the move that come late: those of the filter alone, or the accelerometer's with them.
 
 The velocity is the column `velocity_dps`, or what times and elevations tell where the poses did not stand
-(`regression.motion`). A reading that comes τ late differs from the elevation by τ times the mean
+(`regression.motion`). A reading that comes τ late is that of the elevation τ before it, and all of it:
+bias, scale and every error that follows the elevation. It differs from the elevation by τ times the mean
 velocity over the time τ before it: next to a reversal that is not the velocity at the reading.
+
+At one constant speed forward and back, a delay is a backlash, but for the few readings next to a reversal,
+where no real stage turns at once. An order of the turn parts them, if it is strong enough to see it shifted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from calrig.calibration.regression.channels import ANGLE, READING
-from calrig.calibration.regression.effect import Covariate, Effect, NotInFlight, Parameter, Parameters, Shape
+from calrig.calibration.regression.effect import (
+    Applied,
+    Covariate,
+    Effect,
+    NotInFlight,
+    Parameter,
+    Parameters,
+    Shape,
+)
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import tilted
 from calrig.estimation.angles import FloatArray
 
 AS_SCANNED = np.geomspace(0.4, 2.5, 9)
-FINER = (np.linspace(0.8, 1.25, 19), np.linspace(0.98, 1.02, 9))
-"""Of the delay that a straight line through the errors against the velocity tells; of the one that leads."""
+"""Of the delay that a straight line through the errors against the velocity tells."""
+LEAST_CHANGE = 1e-3
+"""Of the velocity, as a share of the largest: at one velocity a delay is a bias."""
 CONSISTENT = 3.0
 """Times the delay over which the velocity was averaged, a fitted one is another: two terms that cancel.
 Smaller ones and those of the other sign are allowed, as noise has them: the significance test counts on it.
@@ -38,12 +51,8 @@ def _velocity_dps(r: Responses) -> FloatArray | None:
 VELOCITY = Covariate("velocity", "velocity", "°/s", _velocity_dps)
 
 
-def _turns_abruptly(r: Responses) -> bool:
-    return r.motion is not None and bool(np.isfinite([r.motion.since_s, r.motion.until_s]).any())
-
-
 def _scan(r: Responses) -> Iterator[Parameters]:
-    if r.motion is None or not _turns_abruptly(r):
+    if r.motion is None or not r.motion.has_paths:
         yield {}
         return
     beside = np.column_stack([np.ones(len(r)), r.theta_deg, r.motion.velocity_dps])
@@ -54,28 +63,22 @@ def _scan(r: Responses) -> Iterator[Parameters]:
 
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     velocity = _velocity_dps(r)
-    if velocity is None or np.ptp(velocity) == 0.0:
+    if velocity is None or np.ptp(velocity) <= LEAST_CHANGE * np.abs(velocity).max():
         return
     here: Parameters = {}
-    if r.motion is not None and _turns_abruptly(r):
+    alike = ("backlash",) if r.motion is not None and r.motion.has_one_speed else ()
+    if r.motion is not None and r.motion.has_paths:
         lag_s = at.get("over_s", at.get("delay_s", 0.0))
         velocity, here = r.motion.mean_dps(lag_s), {"over_s": lag_s}
-    yield Shape(tilted(-velocity), ("delay_s",), form="all", at=here)
+    yield Shape(tilted(-velocity), ("delay_s",), form="all", at=here, alike=alike)
     if ANGLE in r.channels:
-        yield Shape({READING: -velocity}, ("delay_s",), form="filter", at=here)
+        yield Shape({READING: -velocity}, ("delay_s",), form="filter", at=here, alike=alike)
 
 
-def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> Shape | None:
-    if not shape.at:
-        return None
-    for factors in FINER:
-        lags_s = shape.at["over_s"] * factors
-        # its own place is among these: a shape of all poses has more rows than a fold
-        shapes = [s for lag_s in lags_s for s in _forms(r, {"over_s": float(lag_s)}) if s.form == shape.form]
-        if not shapes:
-            return None
-        shape = min(shapes, key=criterion)
-    return shape
+def _late_by_deg(r: Responses, delay_s: float) -> FloatArray:
+    if r.motion is not None:
+        return r.motion.travelled_deg(delay_s)
+    return np.asarray(delay_s * r.covariates["velocity_dps"], dtype=np.float64)
 
 
 def _possible(shape: Shape, beta: FloatArray) -> bool:
@@ -83,6 +86,12 @@ def _possible(shape: Shape, beta: FloatArray) -> bool:
     if abs(float(beta[0])) > LARGEST_DELAY_S:
         return False
     return not lag_s or abs(float(beta[0])) <= CONSISTENT * abs(lag_s)
+
+
+def _on_reading_deg(p: Applied) -> FloatArray:
+    if p.given.motion is not None:
+        return -p.given.motion.travelled_deg(p.value("delay_s"))
+    return -p.value("delay_s") * p.column("velocity_dps")
 
 
 EFFECT = Effect(
@@ -95,10 +104,10 @@ EFFECT = Effect(
     formula="−delay_s·velocity",
     forms=_forms,
     scan=_scan,
-    refine=_refine,
     possible=_possible,
-    on_reading_deg=lambda p: -p.value("delay_s") * p.column("velocity_dps"),
+    on_reading_deg=_on_reading_deg,
     in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the velocity at the time of the reading",
     remedy="read standing still, or advance the readings by the delay",
+    late_by_deg=_late_by_deg,
 )

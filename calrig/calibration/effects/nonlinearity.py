@@ -9,6 +9,7 @@ import numpy as np
 from calrig.calibration.regression.effect import ELEVATION, Effect, Parameter, Parameters, Shape
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import DEG, c_literal, one_or_both, turns
+from calrig.estimation.angles import FloatArray
 
 STEEPEST_DEG = 80.0
 """Beyond it a_y says next to nothing of the angle, and tan θ nothing of a_y."""
@@ -19,10 +20,15 @@ WIDEST_DEG = 180.0
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if turns(r) and np.ptp(r.theta_deg) <= WIDEST_DEG:
-        angle = np.stack([r.theta_deg**2, r.theta_deg**3], 1)
+        angle = _square_and_cube(r.theta_deg)
         # an error of a_y that turns the angle by f lengthens the vector by f·tan θ
         tangent = np.tan(np.radians(np.clip(r.theta_deg, -STEEPEST_DEG, STEEPEST_DEG)))
-        yield from one_or_both(angle, angle / DEG * tangent[:, None], ("deg_per_deg2", "deg_per_deg3"))
+        norm, names = angle / DEG * tangent[:, None], ("deg_per_deg2", "deg_per_deg3")
+        yield from one_or_both(angle, norm, names, at_elevation=_square_and_cube)
+
+
+def _square_and_cube(theta_deg: FloatArray) -> FloatArray:
+    return np.stack([theta_deg**2, theta_deg**3], 1)
 
 
 def _in_c(p: Parameters) -> str:

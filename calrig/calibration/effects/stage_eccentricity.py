@@ -13,6 +13,7 @@ from calrig.calibration.regression.effect import (
     Parameters,
     SensorTerm,
     Shape,
+    sin_cos,
 )
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
@@ -20,11 +21,11 @@ from calrig.calibration.regression.terms import (
     amplitude_and_phase,
     amplitude_within,
     c_wave,
-    sin_cos,
     turned,
     turns,
     wave_deg,
 )
+from calrig.estimation.angles import FloatArray
 
 LARGEST_AMPLITUDE_DEG = 30.0
 """The centre off the axis by half of the radius (amplitude = eccentricity/radius, in radians)."""
@@ -32,9 +33,13 @@ LARGEST_AMPLITUDE_DEG = 30.0
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if turns(r):
-        s, c = sin_cos(r)
-        columns = np.stack([s, c], 1)
-        yield Shape(turned(r, columns), ("amplitude_deg", "phase_deg"), series=THE_TURN)
+        columns = _sine_and_cosine(r.theta_deg)
+        names = ("amplitude_deg", "phase_deg")
+        yield Shape(turned(r, columns), names, series=THE_TURN, at_elevation=_sine_and_cosine)
+
+
+def _sine_and_cosine(theta_deg: FloatArray) -> FloatArray:
+    return np.stack(sin_cos(theta_deg), 1)
 
 
 EFFECT = Effect(

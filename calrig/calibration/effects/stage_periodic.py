@@ -8,7 +8,7 @@ window: Deeming, Astrophysics and Space Science 36, 1975). An exact grid has suc
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -161,8 +161,9 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     mean = here * kept_in_mean(r.stretch_deg, period_deg)[:, None]
     shares = {READING: mean, ANGLE: mean, MOVE: felt}
     names = ("amplitude_deg", "phase_deg")
+    at_elevation = None if r.stretch_deg.any() else partial(_waves, period_deg=period_deg)
     if "order" not in at:
-        yield Shape(shares, names, at={"period_deg": period_deg}, scanned=True)
+        yield Shape(shares, names, at={"period_deg": period_deg}, scanned=True, at_elevation=at_elevation)
         return
     yield Shape(
         shares,
@@ -172,6 +173,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         scanned=at["order"] not in USUAL_ORDERS,
         says=f"order {at['order']:g} of the turn",
         series=THE_TURN,
+        at_elevation=at_elevation,
     )
 
 

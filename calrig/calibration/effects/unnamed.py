@@ -280,7 +280,8 @@ def _shape(
 
 def _smooth(z: FloatArray, pieces: int, name: str, seen_by: Shares, *, has_knots: bool = False) -> Shape:
     """Return a smooth curve; with its knots where a document is to have them."""
-    shape = _shape(seen_by(natural_spline(z, pieces)), name, f"smooth {pieces}")
+    curve = partial(natural_spline, pieces=pieces, over=z)
+    shape = _of_function(curve, z, name, f"smooth {pieces}", seen_by)
     return replace(shape, knots=tuple(knots_of(z, pieces).tolist())) if has_knots else shape
 
 
@@ -291,8 +292,28 @@ def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = Fals
         return
     for place in np.unique(np.quantile(z, PLACES)):
         at = {"at": float(place)}
-        yield _shape(seen_by(np.maximum(z - place, 0.0) / np.ptp(z)), name, "kink", at)
-        yield _shape(seen_by((z >= place).astype(float)), name, "step", at)
+        yield _of_function(partial(_kink, place=place, span=np.ptp(z)), z, name, "kink", seen_by, at)
+        yield _of_function(partial(_step, place=place), z, name, "step", seen_by, at)
+
+
+def _of_function(
+    f: Callable[[FloatArray], FloatArray],
+    z: FloatArray,
+    name: str,
+    form: str,
+    seen_by: Shares = tilted,
+    at: Parameters | None = None,
+) -> Shape:
+    shape = _shape(seen_by(f(z)), name, form, at)
+    return replace(shape, at_elevation=f) if name == "target_deg" else shape
+
+
+def _kink(z: FloatArray, place: float, span: float) -> FloatArray:
+    return np.asarray(np.maximum(z - place, 0.0) / span, dtype=np.float64)
+
+
+def _step(z: FloatArray, place: float) -> FloatArray:
+    return np.asarray(z >= place, dtype=np.float64)
 
 
 def _counts(z: FloatArray) -> list[int]:

@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from calrig.calibration.regression.motion import Motion
 from calrig.calibration.regression.responses import Change, Responses
 from calrig.estimation.angles import FloatArray
 
@@ -148,6 +149,8 @@ class Shape:
         changed: between which runs, where it is only in the later ones.
         alone: not offered with its effect's companions: of places close together few stand for all.
         knots: (k,) of a curve of the angle, from which a document's values of it can be evaluated.
+        at_elevation: what it adds to the reading at elevations (m,), (m,) or (m, p) of each coefficient,
+            where it is a function of the elevation alone: a late reading has it at an earlier one.
     """
 
     shares: Mapping[str, FloatArray]
@@ -168,6 +171,7 @@ class Shape:
     changed: Change | None = None
     alone: bool = False
     knots: tuple[float, ...] = ()
+    at_elevation: Callable[[FloatArray], FloatArray] | None = None
 
     @property
     def stated(self) -> frozenset[str]:
@@ -181,6 +185,7 @@ class Circumstances:
     Any column of the poses may be among them under its own name. These have a meaning of their own:
 
     Args:
+        motion: of the stage, of readings taken on the move.
         columns: (n,) each; None where not known of every pose.
 
     Columns:
@@ -192,7 +197,8 @@ class Circumstances:
         stretch_deg: how far the stage turned while the pose was read; without it not at all.
     """
 
-    def __init__(self, **columns: FloatArray | None) -> None:
+    def __init__(self, motion: Motion | None = None, /, **columns: FloatArray | None) -> None:
+        self.motion = motion
         self._columns = columns
 
     @classmethod
@@ -296,6 +302,9 @@ class Effect:
         carried: whether these poses determine the coefficients of a shape together with its place.
         reported, evidence: a document's parameters of coefficients and covariance; sentences about a shape.
         not_linear: (n,) a channel, what the forms' columns do not say, of the effect's own coefficients.
+        late_by_deg: (n,) by how much the elevation changed since the one that a late reading stands for, of
+            the effect's coefficient: bias, scale and what follows the elevation are then those of the
+            earlier one.
         possible: whether coefficients are any that the physics allows.
         follows: offered by itself only once this effect is in the model.
         together_with: effects that it is offered together with, as one: each alone may look like noise.
@@ -325,6 +334,7 @@ class Effect:
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     not_linear: Callable[[Responses, FloatArray], Mapping[str, FloatArray]] | None = None
+    late_by_deg: Callable[[Responses, float], FloatArray] | None = None
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
     follows: str | None = None
     together_with: tuple[str, ...] = ()

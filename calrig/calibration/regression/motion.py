@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import groupby
 from typing import NamedTuple
 
@@ -35,9 +35,17 @@ AT_A_POSE = 1e-2
 """Share of an interval, within which a change is taken to have happened at the pose."""
 ABRUPT = 0.2
 """Of the largest velocity: a change that no smooth motion makes between two readings."""
+SMOOTH = 0.1
+"""Of an abrupt change, how much the velocity may change in the two intervals beside it."""
 SHORTEST_LAG_S = 1e-6
-SHORTEST_STOP_S = 1.0
+SHORTEST_STOP_S = 2.0
 """Between poses, to move on, settle and take a mean: readings that follow faster were taken on the move."""
+AT_REST = 0.05
+"""Of the longest step between readings: shorter ones are no motion."""
+MOST_REVERSALS = 0.25
+"""To a reading of a log taken on the move: a stroke has several of them."""
+ODD_SPEEDS, SAME_SPEED = 0.1, 0.05
+"""Share of the readings at either end that may have another speed; of it, how far all others are alike."""
 
 
 def has_history(poses: Sequence[Pose]) -> bool:
@@ -66,39 +74,90 @@ def moves_deg(poses: Sequence[Pose]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Where the stage was in a run, between its readings too: cubics of time, without jumps of the angle.
+
+    Attributes:
+        time_s: (k + 1,) knots: the readings, and abrupt changes of the velocity between them.
+        theta_deg: (k + 1,) there, unwrapped.
+        from_dps, to_dps: (k,) velocity at the begin and at the end of each interval.
+    """
+
+    time_s: FloatArray
+    theta_deg: FloatArray
+    from_dps: FloatArray
+    to_dps: FloatArray
+
+    def at_deg(self, time_s: FloatArray) -> FloatArray:
+        """Return (n,) elevations; before the first and after the last knot the stage moves evenly."""
+        k = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.from_dps) - 1)
+        length_s, way_deg = np.diff(self.time_s)[k], np.diff(self.theta_deg)[k]
+        share = (time_s - self.time_s[k]) / length_s
+        u = np.clip(share, 0.0, 1.0)
+        bend = (1.0 - u) * (self.from_dps[k] * length_s - way_deg)
+        bend = u * (1.0 - u) * (bend - u * (self.to_dps[k] * length_s - way_deg))
+        beyond_deg = (share - u) * length_s * np.where(share < 0.0, self.from_dps[0], self.to_dps[-1])
+        return np.asarray(self.theta_deg[k] + u * way_deg + bend + beyond_deg, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """How the stage moved while n readings were taken.
 
     Attributes:
         velocity_dps: (n,) at the time of each, deg/s.
-        since_s, from_dps: (n,) time since the motion last changed abruptly, and the velocity before that.
-        until_s, to_dps: (n,) time until it next does, and the velocity after that; infinite where it did not
-            or nobody knows.
+        time_s: (n,) of each, on its run's clock.
+        run: (n,) index into `paths` of the run that each reading is of.
+        paths: of the runs; None where only the velocities are known.
     """
 
     velocity_dps: FloatArray
-    since_s: FloatArray
-    from_dps: FloatArray
-    until_s: FloatArray
-    to_dps: FloatArray
+    time_s: FloatArray
+    run: npt.NDArray[np.intp]
+    paths: tuple[Path | None, ...]
+
+    @property
+    def has_paths(self) -> bool:
+        """Return whether it is known where the stage was between the readings."""
+        return None not in self.paths
+
+    @property
+    def has_one_speed(self) -> bool:
+        """Return whether nearly all readings were taken at the same speed, forward or backward."""
+        slow_dps, fast_dps = np.quantile(np.abs(self.velocity_dps), (ODD_SPEEDS, 1.0 - ODD_SPEEDS))
+        return bool(fast_dps - slow_dps <= SAME_SPEED * fast_dps)
+
+    def travelled_deg(self, lag_s: float) -> FloatArray:
+        """Return (n,) travel over a time before each reading; below 0: minus that over a time after it."""
+        travelled = lag_s * self.velocity_dps
+        for k, path in enumerate(self.paths):
+            if path is not None:
+                own = self.run == k
+                at_s = self.time_s[own]
+                travelled[own] = path.at_deg(at_s) - path.at_deg(at_s - lag_s)
+        return np.asarray(travelled, dtype=np.float64)
 
     def mean_dps(self, lag_s: float) -> FloatArray:
         """Return (n,) mean velocity over a time before each reading; after it where `lag_s` is below 0."""
-        near = (self.since_s, self.from_dps) if lag_s > 0.0 else (self.until_s, self.to_dps)
-        share = np.minimum(near[0] / max(abs(lag_s), SHORTEST_LAG_S), 1.0)
-        return np.asarray(share * self.velocity_dps + (1.0 - share) * near[1], dtype=np.float64)
+        lag_s = lag_s if abs(lag_s) > SHORTEST_LAG_S else SHORTEST_LAG_S
+        return self.travelled_deg(lag_s) / lag_s
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> Motion:
         """Return the same of some of the readings."""
-        return Motion(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return Motion(self.velocity_dps[chosen], self.time_s[chosen], self.run[chosen], self.paths)
 
 
 def joined(motions: Sequence[Motion | None]) -> Motion | None:
-    """Return the motion of several runs; None where it is not known of one."""
+    """Return the motion of several runs, of one path each; None where it is not known of one."""
     known = [motion for motion in motions if motion is not None]
     if len(known) < len(motions):
         return None
-    return Motion(*(np.concatenate([getattr(m, f.name) for m in known]) for f in fields(Motion)))
+    return Motion(
+        np.concatenate([motion.velocity_dps for motion in known]),
+        np.concatenate([motion.time_s for motion in known]),
+        np.repeat(np.arange(len(known)), [len(motion.run) for motion in known]),
+        tuple(path for motion in known for path in motion.paths),
+    )
 
 
 def motion_of(poses: Sequence[Pose]) -> Motion | None:
@@ -107,12 +166,13 @@ def motion_of(poses: Sequence[Pose]) -> Motion | None:
     A log taken on the move tells it by its times and elevations: central differences, and next to a reversal
     the stroke that the pose is part of. Poses that stood have none, whatever lies between them.
     """
+    derived = _derived(poses) if _taken_on_the_move(poses) else None
     given = [pose.covariates.get("velocity_dps") for pose in poses]
     known = [velocity for velocity in given if velocity is not None]
-    if known and len(known) == len(given):
-        never, nothing = np.full(len(known), np.inf), np.zeros(len(known))
-        return Motion(np.array(known, dtype=np.float64), never, nothing, never, nothing)
-    return _derived(poses) if _taken_on_the_move(poses) else None
+    if not known or len(known) < len(given):
+        return derived
+    run = np.zeros(len(known), dtype=np.intp)
+    return Motion(np.array(known, dtype=np.float64), np.zeros(len(known)), run, (None,))
 
 
 def approach_of(poses: Sequence[Pose]) -> FloatArray | None:
@@ -127,47 +187,96 @@ def _derived(poses: Sequence[Pose]) -> Motion:
     times_s = _times_s(poses)
     gap_s, way_deg = np.diff(times_s), _steps_deg(poses)[1:]
     pace = way_deg / gap_s
-    at_s, from_dps, to_dps = _abrupt(times_s, pace)
-    last = np.searchsorted(at_s, times_s + SHORTEST_LAG_S) - 1
-    following = np.searchsorted(at_s, times_s - SHORTEST_LAG_S)
-    at_s = np.concatenate([at_s, [np.inf, -np.inf]])  # index n: what never comes; −1: what never was
-    since_s, until_s = np.maximum(times_s - at_s[last], 0.0), np.maximum(at_s[following] - times_s, 0.0)
-    from_dps, to_dps = (np.concatenate([v, [0.0, 0.0]]) for v in (from_dps, to_dps))
+    share, from_dps = _abrupt(pace)
     before, after = np.append(pace[:1], pace), np.append(pace, pace[-1:])
-    central = np.concatenate(
-        [pace[:1], (way_deg[:-1] + way_deg[1:]) / (times_s[2:] - times_s[:-2]), pace[-1:]]
+    # the mean velocity of an interval in which the motion changed is that of neither of its poses
+    turned, turning = np.append(False, share < 1.0), np.append(share > 0.0, False)
+    at_change = np.append(False, share == 1.0) | np.append(share == 0.0, False)
+    steady = at_change | np.append(at_change[1:], False)
+    known = np.select([turned & ~turning, turning & ~turned, steady], [after, before, before], np.nan)
+    velocity = _smooth_dps(gap_s, pace, known)
+    theta_deg = np.cumsum(np.append(0.0, way_deg))
+    begin_dps = np.where(share == 0.0, pace, velocity[:-1])
+    end_dps = np.where(share == 1.0, pace, velocity[1:])
+    begin_dps[1:][share[:-1] == 1.0] = pace[1:][share[:-1] == 1.0]
+    end_dps[:-1][share[1:] == 0.0] = pace[:-1][share[1:] == 0.0]
+    inside = np.flatnonzero((share > 0.0) & (share < 1.0))
+    begin_dps[inside] = end_dps[inside] = from_dps[inside]
+    to_s = share[inside] * gap_s[inside]
+    rest_dps = (way_deg[inside] - from_dps[inside] * to_s) / (gap_s[inside] - to_s)
+    path = Path(
+        np.insert(times_s, inside + 1, times_s[inside] + to_s),
+        np.insert(theta_deg, inside + 1, theta_deg[inside] + from_dps[inside] * to_s),
+        np.insert(begin_dps, inside + 1, rest_dps),
+        np.insert(end_dps, inside + 1, rest_dps),
     )
-    turned = since_s < np.append(np.inf, gap_s)
-    turning = until_s < np.append(gap_s, np.inf)
-    velocity = np.select([turned & turning, turned, turning], [central, after, before], central)
-    return Motion(velocity, since_s, from_dps[last], until_s, to_dps[following])
+    return Motion(velocity, times_s, np.zeros(len(poses), dtype=np.intp), (path,))
 
 
-def _abrupt(times_s: FloatArray, pace: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return when the motion changed abruptly, from which velocity and to which, given those between n poses.
+def _smooth_dps(gap_s: FloatArray, pace: FloatArray, known_dps: FloatArray) -> FloatArray:
+    """Return (n,) velocities of the cubic spline through n poses; its acceleration is continuous.
 
-    That is where the strokes before and after an interval meet within it.
+    Args:
+        gap_s: (n − 1,) times between the poses.
+        pace: (n − 1,) mean velocities there.
+        known_dps: (n,) velocities of poses next to an abrupt change of the motion; NaN of the others.
     """
-    start_s, length_s = times_s[1:-2], np.diff(times_s)[1:-1]
+    # (de Boor, A Practical Guide to Splines, 1978, chapter IV, equation 10; ends without acceleration)
+    before, after = np.append(0.0, 1.0 / gap_s), np.append(1.0 / gap_s, 0.0)
+    diagonal = 2.0 * (before + after)
+    right = 3.0 * (np.append(0.0, pace / gap_s) + np.append(pace / gap_s, 0.0))
+    free = np.isnan(known_dps)
+    before, after = before * free, after * free
+    diagonal, right = np.where(free, diagonal, 1.0), np.where(free, right, known_dps)
+    for k in range(1, len(right)):  # Thomas' elimination of a system of three diagonals
+        share = before[k] / diagonal[k - 1]
+        diagonal[k] -= share * after[k - 1]
+        right[k] -= share * right[k - 1]
+    velocity = right / diagonal
+    for k in range(len(right) - 2, -1, -1):
+        velocity[k] = (right[k] - after[k] * velocity[k + 1]) / diagonal[k]
+    return velocity
+
+
+def _abrupt(pace: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return after which share of each interval the motion changed abruptly, and the velocity before.
+
+    That is where the strokes before and after an interval meet within it: 0 at its first pose, 1 at its last;
+    NaN where the motion did not change.
+
+    Args:
+        pace: (n − 1,) mean velocities between n poses, deg/s.
+    """
     from_dps, to_dps = pace[:-2], pace[2:]
     jump = from_dps - to_dps
-    is_jump = np.abs(jump) > ABRUPT * np.abs(pace).max()
+    # a motion that changes smoothly changes as much before and after the interval
+    change = np.abs(np.pad(np.diff(pace), 1, mode="edge"))
+    beside = change[:-3] + change[3:]
+    is_jump = (np.abs(jump) > ABRUPT * np.abs(pace).max()) & (beside < SMOOTH * np.abs(jump))
     share = np.divide(pace[1:-1] - to_dps, jump, out=np.full(len(jump), -1.0), where=is_jump)
     within = (share > AT_A_POSE) & (share < 1.0 - AT_A_POSE)
     # beside an interval with a change in it, its mean looks like a change at the pose between
     at_end = (np.abs(share - 1.0) <= AT_A_POSE) & ~np.append(within[1:], False)
     at_start = (np.abs(share) <= AT_A_POSE) & ~np.append(False, within[:-1])
-    found = within | at_end | at_start
-    at_s = (start_s + np.clip(share, 0.0, 1.0) * length_s)[found]
-    return at_s, from_dps[found], to_dps[found]
+    share = np.select([within, at_end, at_start], [share, 1.0, 0.0], np.nan)
+    return np.pad(share, 1, constant_values=np.nan), np.pad(from_dps, 1)
 
 
 def _taken_on_the_move(poses: Sequence[Pose]) -> bool:
-    """Whether readings follow faster than a stage could stop for them, and nothing says that it did."""
+    """Whether readings follow faster than a stage could stop for them, and nothing says that it did.
+
+    A stage that goes to and fro from reading to reading stops for each of them, however fast they follow.
+    """
     if len(poses) < FEWEST or any(_tells(pose, STANDING) or pose.time_s is None for pose in poses):
         return False
-    since_s = np.diff(_times_s(poses))
-    return bool((since_s > 0.0).all() and np.median(since_s) < SHORTEST_STOP_S)
+    since_s, steps_deg = np.diff(_times_s(poses)), _steps_deg(poses)[1:]
+    sense = np.sign(steps_deg) * (np.abs(steps_deg) > AT_REST * np.abs(steps_deg).max())
+    reversals = int((sense[1:] * sense[:-1] < 0.0).sum())
+    return bool(
+        (since_s > 0.0).all()
+        and np.median(since_s) < SHORTEST_STOP_S
+        and reversals <= MOST_REVERSALS * len(poses)
+    )
 
 
 def _times_s(poses: Sequence[Pose]) -> FloatArray:

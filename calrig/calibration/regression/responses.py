@@ -96,6 +96,7 @@ class Responses:
         known_periods_deg: of the axis, that somebody knows (`DiagnosisRequest`).
         reference_is_good: whether θ is free of error, so that curves of it are the sensor's.
         arc_deg: that the elevations span.
+        is_delayed: whether `theta_deg` are the elevations that late readings stand for.
     """
 
     run: npt.NDArray[np.intp]
@@ -122,6 +123,7 @@ class Responses:
     across_g: FloatArray | None = None
     known_periods_deg: tuple[float, ...] = ()
     reference_is_good: bool = False
+    is_delayed: bool = False
     arc_deg: float = field(init=False)
 
     def __post_init__(self) -> None:

@@ -23,10 +23,14 @@ KNOT, VALUE = "knot_{}_deg", "curve_{}_deg"
 FEWEST_KNOTS = 3
 
 
-def natural_spline(z: FloatArray, pieces: int) -> FloatArray:
-    """Return (n, ≤ pieces) basis of the natural cubic splines with knots at quantiles, no constant in it."""
-    u = (z - z.min()) / np.ptp(z)
-    return _basis(u, _knots(u, pieces))
+def natural_spline(z: FloatArray, pieces: int, over: FloatArray | None = None) -> FloatArray:
+    """Return (n, ≤ pieces) basis of the natural cubic splines with knots at quantiles, no constant in it.
+
+    The quantiles are those of z, or of the values (m,) that the curve goes `over`.
+    """
+    over = z if over is None else over
+    u, all_along = ((values - over.min()) / np.ptp(over) for values in (z, over))
+    return _basis(u, _knots(all_along, pieces))
 
 
 def knots_of(z: FloatArray, pieces: int) -> FloatArray:

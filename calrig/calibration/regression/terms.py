@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -65,13 +66,23 @@ def sin_cos(r: Responses) -> tuple[FloatArray, FloatArray]:
 
 
 def one_or_both(
-    angle: FloatArray, norm: FloatArray, names: tuple[str, str], at: Parameters | None = None
+    angle: FloatArray,
+    norm: FloatArray,
+    names: tuple[str, str],
+    at: Parameters | None = None,
+    at_elevation: Callable[[FloatArray], FloatArray] | None = None,
 ) -> Iterator[Shape]:
     """Both columns (n, 2) together, and each alone: what one of them explains needs no second."""
     at = at or {}
-    yield Shape({**tilted(angle), NORM: norm}, names, form="both", at=at)
+    yield Shape({**tilted(angle), NORM: norm}, names, form="both", at=at, at_elevation=at_elevation)
     for k, name in enumerate(names):
-        yield Shape({**tilted(angle[:, k]), NORM: norm[:, k]}, (name,), form=name, part_of="both", at=at)
+        shares = {**tilted(angle[:, k]), NORM: norm[:, k]}
+        own = at_elevation and partial(_one_of, at_elevation, k)
+        yield Shape(shares, (name,), form=name, part_of="both", at=at, at_elevation=own)
+
+
+def _one_of(several: Callable[[FloatArray], FloatArray], k: int, theta_deg: FloatArray) -> FloatArray:
+    return several(theta_deg)[:, k]
 
 
 def vector_forms(

@@ -77,22 +77,27 @@ def effects_on_reading_deg(
     Raises:
         ApplyError: an effect has no formula, or a covariate or parameter that it needs is not there.
     """
+    given = given or Circumstances()
     felt_deg = theta_deg if felt_deg is None else felt_deg
     total = np.zeros(len(theta_deg))
     on_axes: list[tuple[Effect, Parameters]] = []
-    for name, parameters in effects:
+    # a late reading has all other effects at the elevation that it stands for
+    late_first = sorted(effects, key=lambda one: effect_of(one[0]).late_by_deg is None)
+    for name, parameters in late_first:
         effect = effect_of(name)
         if effect.on_reading_deg is not None:
-            added = effect.on_reading_deg(Applied(name, parameters, theta_deg, given or Circumstances()))
+            added = effect.on_reading_deg(Applied(name, parameters, theta_deg, given))
             total = total + added
-            if effect.turns_the_sensor(parameters):
+            if effect.late_by_deg is not None:
+                theta_deg = theta_deg + added
+            if effect.turns_the_sensor(parameters) or effect.late_by_deg is not None:
                 felt_deg = felt_deg + added
         if effect.on_vector_g is not None:
             on_axes.append((effect, parameters))
     error_y, error_z = np.zeros(len(theta_deg)), np.zeros(len(theta_deg))
     for effect, parameters in on_axes:
         assert effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
-        applied = Applied(effect.name, parameters, theta_deg, given or Circumstances(), felt_deg)
+        applied = Applied(effect.name, parameters, theta_deg, given, felt_deg)
         more_y, more_z = effect.on_vector_g(applied)
         error_y, error_z = error_y + more_y, error_z + more_z
     return np.asarray(total + turned_vector(felt_deg, (error_y, error_z))[0], dtype=np.float64)

@@ -100,7 +100,9 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
         "stretch_deg": stretches_deg(poses),
     }
     own = {name for pose in poses for name in pose.covariates} - {*known, *OF_MOUNTS, HOST_TIME}
-    return Circumstances(**known, **{name: column([p.covariates.get(name) for p in poses]) for name in own})
+    return Circumstances(
+        motion, **known, **{name: column([p.covariates.get(name) for p in poses]) for name in own}
+    )
 
 
 def angles_deg(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:

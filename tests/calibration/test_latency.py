@@ -1,0 +1,94 @@
+"""Readings that come late, of logs taken on the move: everything at θ(t − τ), and no settling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from posed import posed
+
+from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.line import rms
+from calrig.calibration.regression.motion import motion_of
+from calrig.calibration.results.correction import fit_line_with_effects, numbers_of
+from calrig.calibration.results.pose_errors import angles_deg, circumstances, without_effects_deg
+
+
+def strokes_deg(time_s, half_travel_deg, speed_dps):
+    """Elevation of a table that goes to and fro at a constant speed without a stop."""
+    stroke_s = 2.0 * half_travel_deg / speed_dps
+    return half_travel_deg - speed_dps * np.abs(np.mod(time_s, 2.0 * stroke_s) - stroke_s)
+
+
+def found_in(poses, *, cross_fit=False):
+    return document(diagnose([poses], bootstraps=199, cross_fit=cross_fit), ["1"])
+
+
+def test_at_one_speed_a_delay_and_a_backlash_are_both_said_and_nothing_settled():
+    time_s = np.arange(0.0, 121.0)
+    late_deg = strokes_deg(time_s - 0.2, 60.0, 4.0)
+    noise_deg = np.random.default_rng(0).normal(0.0, 0.02, len(time_s))
+    poses = posed(target_deg=strokes_deg(time_s, 60.0, 4.0), reading_deg=late_deg + noise_deg, time_s=time_s)
+    (effect,) = found_in(poses)["effects"]
+    assert (effect["name"], effect["verdict"]) == ("latency", "ambiguous")
+    assert effect["confusable_with"] == ["backlash"]
+    assert effect["parameters"]["delay_s"]["value"] == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_delay_at_speeds_that_differ_stands_alone():
+    time_s = np.arange(0.0, 60.0, 0.4)
+    there_deg = [60.0 * np.sin(0.5 * at) + 10.0 * np.sin(1.7 * at) for at in (time_s, time_s - 0.05)]
+    noise_deg = np.random.default_rng(1).normal(0.0, 0.05, len(time_s))
+    poses = posed(target_deg=there_deg[0], reading_deg=0.3 + there_deg[1] + noise_deg, time_s=time_s)
+    (effect,) = found_in(poses)["effects"]
+    assert (effect["name"], effect["verdict"]) == ("latency", "named")
+    assert effect["parameters"]["delay_s"]["value"] == pytest.approx(0.05, rel=0.05)
+
+
+DELAY_S, ORDER_2_DEG, NOISE_DEG = 0.035, 8.0, 0.05
+
+
+def three_turns(seed=0):
+    """Three turns to and fro at 36°/s, with an order 2 of the angle that the late reading has."""
+    rng = np.random.default_rng(seed)
+    time_s = 0.25 * np.arange(400) + rng.uniform(0.0, 0.06, 400)
+    late_deg = strokes_deg(time_s - DELAY_S, 540.0, 36.0)
+    reading_deg = late_deg + ORDER_2_DEG * np.sin(2.0 * np.radians(late_deg) + 0.4)
+    reading_deg += rng.normal(0.0, NOISE_DEG, len(time_s))
+    return posed(target_deg=strokes_deg(time_s, 540.0, 36.0), reading_deg=reading_deg, time_s=time_s)
+
+
+def test_an_order_is_that_of_the_elevation_that_the_late_reading_stands_for():
+    found = found_in(three_turns(), cross_fit=True)
+    effects = {effect["name"]: effect for effect in found["effects"]}
+    assert effects.keys() == {"latency", "stage_periodic"}
+    assert {effect["verdict"] for effect in effects.values()} == {"named"}
+    delay = effects["latency"]["parameters"]["delay_s"]
+    assert delay["value"] == pytest.approx(DELAY_S, rel=0.05)
+    amplitude = effects["stage_periodic"]["parameters"]["amplitude_deg"]
+    assert amplitude["value"] == pytest.approx(ORDER_2_DEG, rel=0.01)
+    assert found["final"]["fit_rms_deg"] <= 1.2 * NOISE_DEG
+    assert found["final"]["held_out_rms_deg"] <= 1.2 * NOISE_DEG
+
+
+def test_what_is_accepted_of_a_late_log_is_taken_out_at_the_elevations_that_its_readings_stand_for():
+    poses = three_turns(1)
+    effects = [(e["name"], numbers_of(e["parameters"])) for e in found_in(poses)["effects"]]
+    theta_deg, reading_deg = angles_deg(poses)
+    here = circumstances(poses)
+    line = fit_line_with_effects(theta_deg, reading_deg, effects, here)
+    left_deg = without_effects_deg(poses, line, effects, here) - line.bias_deg - line.scale * theta_deg
+    assert rms(left_deg) <= 1.2 * NOISE_DEG
+
+
+def test_a_path_between_readings_is_that_of_the_stage_where_it_turns_smoothly_and_where_abruptly():
+    time_s = np.arange(0.0, 60.0, 0.4)
+
+    def swings_deg(at_s):
+        return 60.0 * np.sin(0.5 * at_s) + 10.0 * np.sin(1.7 * at_s)
+
+    for there_deg in (swings_deg, lambda at_s: strokes_deg(at_s, 60.0, 23.0)):
+        motion = motion_of(posed(target_deg=there_deg(time_s), reading_deg=time_s, time_s=time_s))
+        for lag_s in (0.05, 0.9):
+            travelled_deg = there_deg(time_s) - there_deg(time_s - lag_s)
+            inner = slice(5, -5)
+            np.testing.assert_allclose(motion.travelled_deg(lag_s)[inner], travelled_deg[inner], atol=0.02)
