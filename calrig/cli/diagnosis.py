@@ -47,7 +47,7 @@ def diagnose(
     if as_json:
         output.print_json(found)
     else:
-        output.print_diagnosis(typed(Diagnosis, found))
+        output.print_diagnosis(typed(Diagnosis, found), of_files=bool(files))
 
 
 def gravity(

@@ -26,7 +26,7 @@ from calrig.calibration.diagnosis.selection import Findings, most_outliers, outl
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.poses import DiagnosisError, Pose
-from calrig.calibration.regression.channels import CHANNELS
+from calrig.calibration.regression.channels import ANGLE, CHANNELS
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
 from calrig.calibration.regression.responses import Change, Responses, responses_of
 from calrig.calibration.regression.run_changes import in_words
@@ -160,9 +160,11 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
     said += _same_elsewhere(found, candidate)
     if candidate.named and math.isfinite(found.lead):
         if found.rivals:
-            names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
-            names = names.replace("_", " ")
-            said.append(f"indistinguishable from {names} by these poses: {found.candidate.effect.apart}")
+            names = ", ".join(
+                EFFECTS[name].words for name in dict.fromkeys(rival.name for rival in found.rivals)
+            )
+            apart = found.candidate.effect.told_apart(has_accelerometer=ANGLE in r.channels)
+            said.append(f"indistinguishable from {names} by these poses: {apart}")
         else:
             said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
     return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]

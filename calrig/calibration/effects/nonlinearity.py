@@ -32,7 +32,7 @@ def _in_c(p: Parameters) -> str:
 
 EFFECT = Effect(
     name="nonlinearity",
-    title="Nonlinearity of the accelerometer",
+    title="Nonlinearity of the sensor",
     origin="sensor",
     scope="unit",
     covariate=ELEVATION,
@@ -46,6 +46,7 @@ EFFECT = Effect(
         p.value("deg_per_deg2") * p.theta_deg**2 + p.value("deg_per_deg3") * p.theta_deg**3
     ),
     in_c=_in_c,
-    apart="|accelerometer| changes as the error of the angle times tan θ",
+    apart="clamped at another angle, the unit takes it along",
+    seen_by_gravity="|accelerometer| changes as the error of the angle times tan θ",
     remedy="correct the angle by the polynomial",
 )
