@@ -203,6 +203,6 @@ def _answer(effect: Effect) -> CatalogueEffect:
         covariate_unit=effect.covariate.unit,
         parameters=[EffectParameter.model_validate(parameter) for parameter in effect.parameters],
         formula=effect.formula,
-        apart=effect.apart,
+        apart=effect.told_apart(has_accelerometer=True),
         remedy=effect.remedy,
     )

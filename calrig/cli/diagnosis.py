@@ -78,7 +78,7 @@ def diagnose(
     if as_json:
         output.print_json(found)
     else:
-        output.print_diagnosis(typed(Diagnosis, found))
+        output.print_diagnosis(typed(Diagnosis, found), of_files=bool(files))
     if write is not None:
         write(", ".join(sources), _drawn(found, poses_of()))
 

@@ -258,8 +258,13 @@ def _standing(bench: Membership) -> str:
     return "revoked" if bench.revoked_at is not None else "joined"
 
 
-def print_diagnosis(found: Diagnosis) -> None:
-    """Print a diagnosis: verdict, each effect with parameters and evidence, the errors before and after."""
+def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
+    """Print a diagnosis: verdict, each effect with parameters and evidence, the errors before and after.
+
+    Args:
+        found: the diagnosis.
+        of_files: whether its poses are files, of which no service can take a follow-up run.
+    """
     from calrig.calibration.effects import EFFECTS
 
     print_line(f"{found.verdict}: {found.final.model}", style="bold")
@@ -279,7 +284,8 @@ def print_diagnosis(found: Diagnosis) -> None:
     if found.follow_up is not None:
         sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
         names = " from ".join(EFFECTS[name].title for name in found.follow_up.separates)
-        print_line(f"a follow-up run would separate {names} by {sigmas}: POST /api/runs/ID/follow-up")
+        how = "its plan is in --json" if of_files else f"POST /api/runs/{found.runs[-1]}/follow-up"
+        print_line(f"a follow-up run would separate {names} by {sigmas}: {how}")
 
 
 def print_fleet(found: dict[str, Any]) -> None:

@@ -410,7 +410,7 @@ def _cells(row: _Row, dialect: Dialect) -> list[str]:
     except UnicodeDecodeError as error:
         raise _not_utf8(error, row.line) from error
     except csv.Error as error:
-        raise CsvError(f"is not CSV ({error})", line=row.line) from error
+        raise CsvError(f"is not CSV ({shortened(str(error))})", line=row.line) from error
 
 
 def _not_utf8(error: UnicodeDecodeError, line: int) -> CsvError:
@@ -514,7 +514,9 @@ def _parsed(
                 lines.since_row = 0
                 yield lines.number - 1, row
     except csv.Error as error:
-        raise CsvError(f"is not CSV ({error})", line=max(lines.number - 1, first_line)) from error
+        raise CsvError(
+            f"is not CSV ({shortened(str(error))})", line=max(lines.number - 1, first_line)
+        ) from error
 
 
 class _Lines:

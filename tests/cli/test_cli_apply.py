@@ -79,6 +79,36 @@ def test_angles_of_a_full_turn_survive_with_their_scale(folder, document):
     assert [float(row["elevation_deg"]) for row in rows] == pytest.approx([240.0, 179.0, 240.0], abs=1e-6)
 
 
+def test_readings_as_people_write_them_are_read_and_come_back_as_they_are(folder, document):
+    (folder / "plain.csv").write_text("reading_deg,temperature_c\n12.5,20\n-7,21\n")
+    lines = ["# by hand", "Reading,Temperature", "°,°F", "12.5°,68", "# a remark, here", "−7,69.8", ""]
+    (folder / "r.csv").write_text("\n".join(lines))
+    done = calrig("apply", "cal.json", "r.csv")
+    plain, rows = rows_of(calrig("apply", "cal.json", "plain.csv").stdout), rows_of(done.stdout)
+    for name in applied_csv.ADDED:
+        assert [row[name] for row in rows] == [row[name] for row in plain]
+    assert [row["Reading [°]"] for row in rows] == ["12.5°", "−7"]
+    said = ("row of units", "comment", "unit or a typographic minus", "as temperature_c (converted from °F)")
+    assert all(words in done.stderr for words in said)
+
+
+def test_all_bad_cells_of_readings_are_told_at_once_also_in_later_pieces(folder, document, monkeypatch):
+    monkeypatch.setattr(applied_csv, "PIECE_BYTES", 40)
+    rows = "".join(f"{'x' if k in {3, 17} else k},20\n" for k in range(30))
+    (folder / "r.csv").write_text(f"reading_deg,temperature_c\n{rows}")
+    done = calrig("apply", "cal.json", "r.csv", status=2)
+    assert 0 < len(rows_of(done.stdout)) < 4
+    assert "line 5, column reading_deg: 'x'" in done.stderr
+    assert "line 19, column reading_deg: 'x'" in done.stderr
+
+
+def test_a_quote_in_a_comment_does_not_join_pieces(folder, document, monkeypatch):
+    monkeypatch.setattr(applied_csv, "PIECE_BYTES", 40)
+    monkeypatch.setattr(applied_csv, "LONGEST_BYTES", 80)
+    (folder / "r.csv").write_text('reading_deg\n# 5" rod\n' + "1.5\n" * 100)
+    assert len(rows_of(calrig("apply", "cal.json", "r.csv").stdout)) == 100
+
+
 def test_a_pipe_of_accelerations_with_semicolons_and_decimal_commas(document, monkeypatch):
     monkeypatch.setattr(applied_csv, "PIECE_BYTES", 60)
     text = 'accel_y_mps2;accel_z_mps2;note\r\n0,0;9,80665;x\r\n\r\n4,903325;8,4928;"two\nlines"\r\n'

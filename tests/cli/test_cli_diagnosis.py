@@ -37,6 +37,25 @@ def test_a_file_is_diagnosed_and_a_run_made_of_it_likewise(warming):
     assert re.search(rf"held-out poses +│ +{before} │ +{after}", shown)
 
 
+@pytest.mark.parametrize("has_accelerometer", [False, True])
+def test_only_poses_with_an_accelerometer_get_hints_about_it_and_files_none_about_calls(
+    folder, has_accelerometer
+):
+    """An eccentricity and an offset of the sensor look alike within ±60°, unless |a| is known."""
+    draw = np.random.default_rng(5)
+    lines = ["target_deg,reading_deg" + ",accel_y_g,accel_z_g" * has_accelerometer]
+    for target in np.linspace(-60.0, 60.0, 41):
+        reading = np.radians(target + 1.5 * np.sin(np.radians(target + 40.0)) + draw.normal(0.0, 0.02))
+        vector = (1.0 + draw.normal(0.0, 0.02)) * np.array([np.sin(reading), np.cos(reading)])
+        accel = f",{vector[0]:.6f},{vector[1]:.6f}" * has_accelerometer
+        lines.append(f"{target:.1f},{np.degrees(reading):.4f}{accel}")
+    (folder / "poses.csv").write_text("\n".join([*lines, ""]))
+    said = calrig("diagnose", "poses.csv").stdout
+    assert "indistinguishable from" in said
+    assert ("accelerometer" in said) == has_accelerometer
+    assert not re.search(r"/api|POST|HTTP", said)
+
+
 @pytest.mark.parametrize(
     ("column", "cells", "says"),
     [

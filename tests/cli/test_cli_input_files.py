@@ -67,6 +67,35 @@ def test_a_missing_column_is_told_with_those_that_are_there(folder):
     assert "there are: accel_z_g" in reason("gravity", "log.csv", status=2)
 
 
+@pytest.mark.parametrize(
+    "command", [("diagnose",), ("solve", "--unit", "A"), ("import", "--unit", "A")], ids=lambda c: c[0]
+)
+def test_all_bad_cells_of_poses_are_told_at_once(folder, command):
+    (folder / "poses.csv").write_text("Target_deg,reading [°]\n1,x\n2,3\ny,\n")
+    said = reason(command[0], "poses.csv", *command[1:], status=2)
+    for place in ("poses.csv: line 2, column reading [°]: 'x'", "line 4, column Target_deg: 'y'"):
+        assert place in said
+    (folder / "poses.csv").write_text("tagret_deg,reading_deg\n1,2\n")
+    assert "did you mean target_deg?" in reason(command[0], "poses.csv", *command[1:], status=2)
+
+
+@pytest.mark.parametrize("command", ["gravity", "noise", "filters"])
+def test_all_bad_cells_of_a_log_are_told_at_once(folder, command):
+    (folder / "log.csv").write_text("Time_s,accel_x [g],accel_y_g,accel_z_g\n0,0,x,1\n0.1,0,0,1\n0.2,0,0,y\n")
+    said = reason(command, "log.csv", status=2)
+    assert all(place in said for place in ("line 2, column accel_y_g: 'x'", "line 4, column accel_z_g: 'y'"))
+
+
+def test_a_log_as_people_write_it_has_the_noise_of_the_plain_one(folder):
+    rows = [f"{k / 100:.2f};{(k * 7919 % 101) / 1000:.3f}" for k in range(3000)]
+    (folder / "plain.csv").write_text("\n".join(["time_s;accel_z_g", *rows, ""]))
+    written = [row.replace(".", ",") for row in rows]
+    (folder / "log.csv").write_text("\n".join(["# bench 3", "Time;Accel z", "[s];[g]", *written, ""]))
+    plain, found = (json.loads(calrig("noise", file, "--json").stdout) for file in ("plain.csv", "log.csv"))
+    assert found["channels"] == plain["channels"]
+    assert len(found["summary"]) == len(plain["summary"]) + 3
+
+
 def test_what_designs_a_plan_says_is_taken_for_the_plan(folder):
     (folder / "design.json").write_text(
         json.dumps({"plan": {"step_deg": 30}, "expected": {"duration_s": 60}})

@@ -17,7 +17,7 @@ import numpy as np
 from calrig.calibration.diagnosis.candidate_fits import SAME, SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, rebuilt
 from calrig.calibration.diagnosis.selection import Findings
-from calrig.calibration.effects import covariate_of
+from calrig.calibration.effects import EFFECTS, covariate_of
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
 from calrig.calibration.regression.effect import TEMPERATURE
@@ -141,8 +141,9 @@ def design(
         by_hand = COOL_THE_UNIT if TEMPERATURE.name in trial.covariates else TURN_THE_UNIT
         if findings.responses.reference_is_good and by_hand is TURN_THE_UNIT:
             by_hand = OTHER_PLACES
+        suspected = " from ".join(EFFECTS[name].words for name in names)
         return (
-            f"no run of {MOST_POSES} poses on this rig would separate {' from '.join(names)}: the best is "
+            f"no run of {MOST_POSES} poses on this rig would separate {suspected}: the best is "
             f"expected to set them apart by {separation:.1f} in −2 log likelihood, and less than "
             f"{LEAST_SEPARATION:g} is not worth a run; {by_hand}"
         )

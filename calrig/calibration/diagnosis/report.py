@@ -27,7 +27,7 @@ from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
-from calrig.calibration.regression.channels import CHANNELS, SCALE_UNIT_DEG
+from calrig.calibration.regression.channels import ANGLE, CHANNELS, SCALE_UNIT_DEG
 from calrig.calibration.regression.effect import Scope
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
@@ -186,9 +186,11 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
     said += _same_elsewhere(found, candidate)
     if candidate.named and math.isfinite(found.lead):
         if found.rivals:
-            names = ", ".join(dict.fromkeys(rival.name for rival in found.rivals))
-            names = names.replace("_", " ")
-            apart = ONE_CURVE if found.is_one_curve(r) else found.candidate.effect.apart
+            names = ", ".join(
+                EFFECTS[name].words for name in dict.fromkeys(rival.name for rival in found.rivals)
+            )
+            alone = found.candidate.effect.told_apart(has_accelerometer=ANGLE in r.channels)
+            apart = ONE_CURVE if found.is_one_curve(r) else alone
             said.append(f"indistinguishable from {names} by these poses: {apart}")
         else:
             said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")

@@ -37,7 +37,7 @@ def _in_c(p: Parameters) -> VectorInC:
 
 EFFECT = Effect(
     name="accelerometer_offset",
-    title="Offset of the accelerometer",
+    title="Offset of the sensor's axes",
     origin="sensor",
     scope="unit",
     covariate=ELEVATION,
@@ -46,7 +46,8 @@ EFFECT = Effect(
     forms=_forms,
     on_vector_g=_on_vector_g,
     in_c=_in_c,
-    apart="|accelerometer| changes as y·sin θ + z·cos θ",
+    apart="clamped at another angle, the unit takes it along",
+    seen_by_gravity="|accelerometer| changes as y·sin θ + z·cos θ",
     remedy="subtract the offsets in the firmware, or calibrate against gravity",
     possible=within(y_mg=LARGEST_MG, z_mg=LARGEST_MG),
 )

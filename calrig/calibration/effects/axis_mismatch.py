@@ -44,7 +44,7 @@ def _in_c(p: Parameters) -> VectorInC:
 
 EFFECT = Effect(
     name="axis_mismatch",
-    title="Mismatch of the accelerometer's axes",
+    title="Mismatch of the sensor's axes",
     origin="sensor",
     scope="unit",
     covariate=ELEVATION,
@@ -53,7 +53,8 @@ EFFECT = Effect(
     forms=_forms,
     on_vector_g=_on_vector_g,
     in_c=_in_c,
-    apart="|accelerometer| changes as gain·sin² θ and skew·sin θ·cos θ",
+    apart="clamped at another angle, the unit takes it along",
+    seen_by_gravity="|accelerometer| changes as gain·sin² θ and skew·sin θ·cos θ",
     remedy="correct gain and skew of the two axes in the firmware",
     possible=within(gain_pct=LARGEST_GAIN_PCT, skew_deg=LARGEST_SKEW_DEG),
 )

@@ -27,6 +27,7 @@ EFFECT = Effect(
     forms=_forms,
     on_reading_deg=lambda p: np.full(len(p.theta_deg), p.value("deg")),
     in_c=NotInFlight("the bias that is fitted holds it"),
-    apart="the reading moved and the accelerometer did not: the filter, its offsets or its gyro bias",
+    apart="the filter, its offsets or its gyro bias moved, and not the unit",
+    seen_by_gravity="the reading moved and the accelerometer did not",
     remedy="look at what filters the reading: its offsets, its level at start-up, the bias of its gyro",
 )

@@ -27,7 +27,8 @@ EFFECT = Effect(
     forms=_forms,
     on_reading_deg=lambda p: np.full(len(p.theta_deg), p.value("deg")),
     in_c=NotInFlight("it is the angle at which the unit was clamped to a stage"),
-    apart="the accelerometer turned as the reading did; clamped anew, homed anew or a package that turned "
-    "look the same: clamp the unit and home the stage several times to know how well either repeats",
+    seen_by_gravity="the accelerometer turned as the reading did",
+    apart="remounted, homed again or a package that turned look the same: remount the unit and home the "
+    "stage several times to know how well either repeats",
     remedy="calibrate with the clamping repeated; fly the bias of the mount that flies",
 )

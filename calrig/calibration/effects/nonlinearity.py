@@ -52,6 +52,7 @@ EFFECT = Effect(
         p.value("deg_per_deg2") * p.theta_deg**2 + p.value("deg_per_deg3") * p.theta_deg**3
     ),
     in_c=_in_c,
-    apart="|accelerometer| changes as the error of the angle times tan θ",
+    apart="clamped at another angle, the unit takes it along",
+    seen_by_gravity="|accelerometer| changes as the error of the angle times tan θ",
     remedy="correct the angle by the polynomial",
 )

@@ -26,6 +26,7 @@ EFFECT = Effect(
     forms=_forms,
     on_reading_deg=lambda p: p.value("scale") * p.theta_deg,
     in_c=NotInFlight("an elevation by atan2 has no scale of its own: it belongs to the stage"),
-    apart="the gyro feels it and |accelerometer| does not; an offset along z changes |accelerometer|",
+    apart="the unit measured on another stage does not have it",
+    seen_by_gravity="the gyro measures it and |accelerometer| does not, but changes with an offset along z",
     remedy="compare the stages, or the steps per degree that they are set to",
 )

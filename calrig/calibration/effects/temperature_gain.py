@@ -54,7 +54,7 @@ def _in_c(p: Parameters) -> VectorInC:
 
 EFFECT = Effect(
     name="temperature_gain",
-    title="Gain of the accelerometer that follows temperature",
+    title="Gain of the sensor's axes that follows temperature",
     origin="sensor",
     scope="unit",
     covariate=TEMPERATURE,
@@ -67,7 +67,8 @@ EFFECT = Effect(
     forms=_forms,
     on_vector_g=_on_vector_g,
     in_c=_in_c,
-    apart="|accelerometer| changes with temperature as gain·sin² θ and skew·sin θ·cos θ",
+    apart="clamped at another angle, the unit takes it along",
+    seen_by_gravity="|accelerometer| changes with temperature as gain·sin² θ and skew·sin θ·cos θ",
     remedy="wait until the unit is warm, or correct the gains by its own thermometer",
     together_with=("axis_mismatch",),
     possible=within(gain_pct_per_c=LARGEST_PCT_PER_C, skew_deg_per_c=LARGEST_SKEW_DEG_PER_C),

@@ -292,6 +292,7 @@ class Effect:
         on_vector_g: instead, what the effect adds to a_y and a_z: all effects turn one vector together.
         in_c: the same in C, of `theta` in degrees, `temperature_c`, and the sensor's own `s` and `c`.
         apart, remedy: what separates it from its look-alikes, and what a person can do about it.
+        seen_by_gravity: what else separates it where the poses have an accelerometer.
         scan: the places that the search tries; without it one, of no parameters.
         refine: the shape at the best place near a leading one's, in the poses given (the leading one may be
             of more), by a shape's criterion; None where there is nothing to refine.
@@ -322,6 +323,7 @@ class Effect:
     in_c: Callable[[Parameters], str | VectorInC] | NotInFlight
     apart: str
     remedy: str
+    seen_by_gravity: str = ""
     on_reading_deg: Callable[[Applied], FloatArray] | None = None
     on_vector_g: Callable[[Applied], VectorError] | None = None
     scan: Callable[[Responses], Iterator[Parameters]] | None = None
@@ -372,6 +374,15 @@ class Effect:
         """Return every form at every place that the search considers in these poses."""
         for at in ({},) if self.scan is None else self.scan(r):
             yield from (shape for shape in self.forms(r, at) if self.carried(r, shape))
+
+    @property
+    def words(self) -> str:
+        """The title inside a sentence."""
+        return f"{self.title[0].lower()}{self.title[1:]}"
+
+    def told_apart(self, *, has_accelerometer: bool) -> str:
+        """Return what separates it from its look-alikes, by what the poses have."""
+        return "; ".join(filter(None, (self.seen_by_gravity * has_accelerometer, self.apart)))
 
     def documented(self, shape: Shape, beta: FloatArray, covariance: FloatArray) -> dict[str, Any]:
         """A document's `parameters`: what was fitted or refined with its standard error, the rest without."""
