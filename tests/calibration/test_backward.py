@@ -7,7 +7,7 @@ import pytest
 from posed import posed
 
 from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
-from calrig.calibration.diagnosis.candidates import Candidate, candidate_of, candidates_of
+from calrig.calibration.diagnosis.candidates import Candidate, candidate_of
 from calrig.calibration.diagnosis.reselection import eliminated, is_admissible
 from calrig.calibration.effects import effect_of
 from calrig.calibration.regression.responses import Responses, responses_of
@@ -29,7 +29,7 @@ def run_of(error_deg: np.ndarray) -> Responses:
 
 
 def one(r: Responses, name: str, form: str = "") -> Candidate:
-    return next(c for c in candidates_of(r) if c.name == name and c.shape.form == form and c.beside is None)
+    return next(candidate_of(r, effect_of(name), s) for s in effect_of(name).forms(r, {}) if s.form == form)
 
 
 def labels_of(r: Responses, *names: str) -> tuple[list[str], list[str]]:

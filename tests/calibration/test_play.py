@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.diagnosis.candidates import candidates_of
 from calrig.calibration.diagnosis.sensor_model import fitted_model
@@ -12,7 +13,7 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.regression.effect import Circumstances
 from calrig.calibration.regression.motion import travel_deg
 from calrig.calibration.regression.responses import responses_of
-from calrig.calibration.results.correction import effects_on_reading_deg
+from calrig.calibration.results.correction import effects_on_reading_deg, numbers_of
 from calrig.calibration.results.result import build_result
 
 NOISE_DEG, PLAY_DEG = 0.02, 0.4
@@ -82,3 +83,43 @@ def test_without_the_way_all_play_is_taken_up() -> None:
     there = effects_on_reading_deg([(effect.name, parameters)], r.theta_deg, known)
     assert np.abs(whole) == pytest.approx(PLAY_DEG / 2.0)
     assert (there != whole).sum() == 5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_play_that_is_taken_up_before_each_pose_is_found_alone_however_short_the_moves(seed: int) -> None:
+    """Fifty times the noise: poses a short move after a turn would else be far off."""
+    rng = np.random.default_rng(seed)
+    target_deg = rng.uniform(-60.0, 60.0, 60)
+    target_deg[10::12] = target_deg[9:59:12] + 0.3 * np.sign(target_deg[8:58:12] - target_deg[9:59:12])
+    approach = np.sign(np.diff(target_deg, prepend=-90.0))
+    reading_deg = 0.2 + 1.001 * target_deg - 0.5 * approach + rng.normal(0.0, NOISE_DEG, 60)
+    time_s = 6.0 * np.arange(60)
+    poses = posed(target_deg=target_deg, reading_deg=reading_deg, approach=approach, time_s=time_s)
+    found = document(diagnose([poses], bootstraps=199, cross_fit=False), ["1"])
+    (effect,) = found["effects"]
+    assert (effect["name"], effect["verdict"]) == ("backlash", "named")
+    assert effect["parameters"]["backlash_deg"]["value"] == pytest.approx(-1.0, rel=0.05)
+    assert found["final"]["fit_rms_deg"] <= 1.2 * NOISE_DEG
+    left = effects_on_reading_deg(
+        [("backlash", numbers_of(effect["parameters"]))],
+        target_deg,
+        Circumstances(approach=approach, travel_deg=np.full(60, 0.1)),
+    )
+    np.testing.assert_allclose(left, -0.5 * approach, atol=0.02)
+
+
+def test_readings_ahead_of_their_moves_have_not_failed_to_settle() -> None:
+    """Up and down in even steps, a backlash of the other sign is what a move overshot by a share would be."""
+    target_deg = np.tile([*range(-60, 61, 10), *range(50, -60, -10)], 3).astype(float)
+    approach = np.sign(np.diff(target_deg, prepend=-70.0))
+    noise_deg = np.random.default_rng(0).normal(0.0, NOISE_DEG, len(target_deg))
+    reading_deg = 0.2 + target_deg + 0.1 * approach + noise_deg
+    poses = posed(
+        target_deg=target_deg,
+        reading_deg=reading_deg,
+        approach=approach,
+        time_s=6.0 * np.arange(len(target_deg)),
+    )
+    (effect,) = document(diagnose([poses], bootstraps=199, cross_fit=False), ["1"])["effects"]
+    assert effect["name"] == "backlash"
+    assert "settling" not in effect["confusable_with"]

@@ -454,9 +454,8 @@ def named(
     named = [c for c in near if c.named]
     # A catalogue effect that explains as well outranks the flexible shapes that contain it.
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
-    # A delay shifts all other effects: where it is alike to the best, it is claimed before that.
-    late = [c for c in named if c.effect.late_by_deg is not None and c.name in named[0].shape.alike]
-    claimed = (staying or late or named or near)[0]
+    first = [c for c in named if c.shape.claimed_first and named[0].name in c.shape.alike]
+    claimed = (staying or first or named or near)[0]
     alike = () if is_shift_seen(r, accepted, claimed) else claimed.shape.alike
     rivals = _rivals(ranked, claimed, alike) if claimed.named else ()
     elsewhere: tuple[Candidate, ...] = ()

@@ -23,10 +23,9 @@ from calrig.calibration.regression.run_changes import (
     shapes_of,
     since,
 )
+from calrig.calibration.regression.terms import LEAST_TURN_DEG
 from calrig.estimation.angles import FloatArray
 
-LEAST_TURN_DEG = 330.0
-"""Poses over such an arc go round: the orders of a turn come apart."""
 MOST_COLUMNS = 0.2
 """To a pose, of a series offered as one: more of them explain any poses at all."""
 CHOICE_OF_RUNS = 2

@@ -54,7 +54,7 @@ class NonlinearTerms:
         self._bent = [
             (member.effect.not_linear, at)
             for member, at in zip(members, own, strict=True)
-            if member.effect.not_linear is not None and member.changed is None
+            if member.effect.not_linear is not None and not member.shape.is_linear and member.changed is None
         ]
         self.bends = bool(self._bent)
 

@@ -15,7 +15,15 @@ from calrig.calibration.regression.effect import (
     VectorInC,
 )
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import MG, ON_VECTOR, c_literal, turns, vector_forms, within
+from calrig.calibration.regression.terms import (
+    MG,
+    ON_VECTOR,
+    c_literal,
+    turns,
+    vector_forms,
+    where_axes_show,
+    within,
+)
 
 LARGEST_MG = 150.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: zero-g output ±50 mg (x, y), ±80 mg (z); as
@@ -44,6 +52,7 @@ EFFECT = Effect(
     parameters=(Parameter("y_mg", "Offset of y", "mg"), Parameter("z_mg", "Offset of z", "mg")),
     formula=ON_VECTOR + "a_y + y_mg/1000, a_z + z_mg/1000",
     forms=_forms,
+    scan=where_axes_show,
     on_vector_g=_on_vector_g,
     in_c=_in_c,
     apart="clamped at another angle, the unit takes it along",

@@ -18,7 +18,14 @@ from calrig.calibration.regression.effect import (
     VectorInC,
 )
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import ON_VECTOR, c_literal, turns, vector_forms, within
+from calrig.calibration.regression.terms import (
+    ON_VECTOR,
+    c_literal,
+    turns,
+    vector_forms,
+    where_axes_show,
+    within,
+)
 
 LARGEST_GAIN_PCT, LARGEST_SKEW_DEG = 10.0, 5.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±3 % of gain an axis, ±2 % (1.1°) across axes;
@@ -51,6 +58,7 @@ EFFECT = Effect(
     parameters=(Parameter("gain_pct", "Gain error", "%"), Parameter("skew_deg", "Skew", "°")),
     formula=ON_VECTOR + "a_y → (1 + gain_pct/100)·(a_y + a_z·sin skew_deg)",
     forms=_forms,
+    scan=where_axes_show,
     on_vector_g=_on_vector_g,
     in_c=_in_c,
     apart="clamped at another angle, the unit takes it along",

@@ -1,8 +1,13 @@
-"""Backlash between motor and table."""
+"""Backlash between motor and table.
+
+After a turn the table stands until the motor has come by the whole play. A rig that takes the play up before
+each pose, by going beyond and back, shows all of it after the shortest move.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +36,10 @@ def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if r.approach is not None and {-1.0, 1.0} <= set(r.approach):
         at_one_speed = r.motion is not None and r.motion.has_one_speed
         alike = ("latency",) if at_one_speed else ()
-        yield Shape(turned(r, r.approach / 2.0), ("backlash_deg",), alike=alike)
+        shape = Shape(turned(r, r.approach / 2.0), ("backlash_deg",), alike=alike)
+        yield shape
+        if np.isfinite(r.travel_deg).any():
+            yield replace(shape, form="taken up", at={"taken_up": 1.0}, place_cost=1, is_linear=True)
 
 
 def _in_play(r: Responses, beta: FloatArray) -> Mapping[str, FloatArray]:
@@ -47,7 +55,7 @@ def _on_reading_deg(p: Applied) -> FloatArray:
     play_deg, approach = p.value("backlash_deg"), p.column("approach")
     whole = play_deg / 2.0 * approach
     travel_deg = p.given.get("travel_deg")
-    if travel_deg is None:
+    if travel_deg is None or p.value("taken_up") == 1.0:
         return np.asarray(whole)
     return np.asarray(whole - np.sign(play_deg) * approach * slack_deg(play_deg, travel_deg))
 
@@ -58,7 +66,10 @@ EFFECT = Effect(
     origin="stage",
     scope="rig",
     covariate=APPROACH,
-    parameters=(Parameter("backlash_deg", "Hysteresis (up − down)", "°"),),
+    parameters=(
+        Parameter("backlash_deg", "Hysteresis (up − down)", "°"),
+        Parameter("taken_up", "Taken up before each pose, however short the move (1)", ""),
+    ),
     formula="backlash_deg/2·approach once the play is taken up",
     forms=_forms,
     on_reading_deg=_on_reading_deg,

@@ -70,9 +70,11 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.motion is not None and r.motion.has_paths:
         lag_s = at.get("over_s", at.get("delay_s", 0.0))
         velocity, here = r.motion.mean_dps(lag_s), {"over_s": lag_s}
-    yield Shape(tilted(-velocity), ("delay_s",), form="all", at=here, alike=alike)
+    yield Shape(tilted(-velocity), ("delay_s",), form="all", at=here, alike=alike, claimed_first=True)
     if ANGLE in r.channels:
-        yield Shape({READING: -velocity}, ("delay_s",), form="filter", at=here, alike=alike)
+        yield Shape(
+            {READING: -velocity}, ("delay_s",), form="filter", at=here, alike=alike, claimed_first=True
+        )
 
 
 def _late_by_deg(r: Responses, delay_s: float) -> FloatArray:

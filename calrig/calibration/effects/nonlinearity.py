@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from calrig.calibration.regression.effect import ELEVATION, Effect, Parameter, Parameters, Shape
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import DEG, c_literal, one_or_both, turns
+from calrig.calibration.regression.terms import DEG, alike_a_drift, c_literal, one_or_both, turns
 from calrig.estimation.angles import FloatArray
 
 STEEPEST_DEG = 80.0
@@ -24,7 +25,9 @@ def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
         # an error of a_y that turns the angle by f lengthens the vector by f·tan θ
         tangent = np.tan(np.radians(np.clip(r.theta_deg, -STEEPEST_DEG, STEEPEST_DEG)))
         norm, names = angle / DEG * tangent[:, None], ("deg_per_deg2", "deg_per_deg3")
-        yield from one_or_both(angle, norm, names, at_elevation=_square_and_cube)
+        alike = alike_a_drift(r)
+        for shape in one_or_both(angle, norm, names, at_elevation=_square_and_cube):
+            yield replace(shape, alike=alike)
 
 
 def _square_and_cube(theta_deg: FloatArray) -> FloatArray:

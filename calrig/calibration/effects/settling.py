@@ -24,14 +24,14 @@ from calrig.calibration.regression.effect import (
 )
 from calrig.calibration.regression.motion import behind
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import tilted, within
+from calrig.calibration.regression.terms import tilted
 from calrig.estimation.angles import FloatArray
 
 LEFT_AT_THE_END = (0.1, 0.5, 0.9)
 """Of what the dwell lacks in the mean, for time constants of 0.3, 0.8 and 5 dwells."""
 
 LARGEST_FRACTION = 0.5
-"""A mean that lacks half the move, or overshoots by as much, is of the move and not of a dwell."""
+"""A mean that lacks half the move is of the move and not of a dwell."""
 
 
 CREEPS_S = (0.3, 0.7, 1.5, 3.0, 6.0)
@@ -64,6 +64,11 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         yield Shape(shares, ("fraction",), form=f"creep, {share:g} left")
 
 
+def _possible(_shape: Shape, beta: FloatArray) -> bool:
+    """Return whether a reading is behind its move: one ahead of it has not failed to settle."""
+    return 0.0 <= float(beta[0]) <= LARGEST_FRACTION
+
+
 def _on_reading_deg(p: Applied) -> FloatArray:
     turned_deg, time_s = p.given.get("stretch_deg"), p.given.get("time_s")
     if "lag_s" not in p.parameters or turned_deg is None or time_s is None:
@@ -90,5 +95,5 @@ EFFECT = Effect(
     in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the last move; unequal steps in random order tell it from backlash",
     remedy="settle longer before the dwell",
-    possible=within(fraction=LARGEST_FRACTION),
+    possible=_possible,
 )

@@ -18,6 +18,7 @@ from calrig.calibration.regression.effect import (
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
     THE_TURN,
+    alike_a_drift,
     amplitude_and_phase,
     amplitude_within,
     c_wave,
@@ -35,7 +36,13 @@ def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if turns(r):
         columns = _sine_and_cosine(r.theta_deg)
         names = ("amplitude_deg", "phase_deg")
-        yield Shape(turned(r, columns), names, series=THE_TURN, at_elevation=_sine_and_cosine)
+        yield Shape(
+            turned(r, columns),
+            names,
+            series=THE_TURN,
+            alike=alike_a_drift(r),
+            at_elevation=_sine_and_cosine,
+        )
 
 
 def _sine_and_cosine(theta_deg: FloatArray) -> FloatArray:

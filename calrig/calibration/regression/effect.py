@@ -142,6 +142,8 @@ class Shape:
         says: what is to be said of this form beside the effect's name.
         part_of: the form with all parameters, where this one has some of them.
         alike: names that such poses do not part it from, however much better it fits.
+        claimed_first: of those that are alike and explain the poses as well, this one is claimed.
+        is_linear: whether the effect's `not_linear` does not apply to this form.
         follows: as the effect's, in such poses alone.
         at_std: standard errors of the places that were refined.
         series: what it is one term of, where several terms make one cause: a search counts them once.
@@ -164,6 +166,8 @@ class Shape:
     says: str = ""
     part_of: str = ""
     alike: tuple[str, ...] = ()
+    claimed_first: bool = False
+    is_linear: bool = False
     follows: str | None = None
     at_std: Parameters = field(default_factory=dict)
     series: str = ""

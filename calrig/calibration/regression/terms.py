@@ -28,6 +28,10 @@ from calrig.estimation.angles import FloatArray
 
 DEG = 180.0 / np.pi
 MG = 1e-3
+ONE_THING = 1e-3
+"""Of the time's standard deviation, what bias and elevation leave of it where the two are one thing."""
+LEAST_TURN_DEG = 330.0
+"""Poses over such an arc go round: the orders of a turn come apart."""
 THE_TURN = "the turn"
 """The series of a full turn's orders."""
 SMALL_STEP = 1e-3
@@ -57,6 +61,33 @@ def tilted(f: FloatArray) -> dict[str, FloatArray]:
 def turns(r: Responses) -> bool:
     """Return whether the poses stand at more than one elevation."""
     return float(np.ptp(r.theta_deg)) > 1.0
+
+
+def less_line(r: Responses, columns: FloatArray) -> FloatArray:
+    """Return columns (n, p) less what bias and scale have of them."""
+    line = np.column_stack([np.ones(len(r)), r.theta_deg])
+    return np.asarray(columns - line @ np.linalg.lstsq(line, columns, rcond=None)[0])
+
+
+def is_time_elevation(r: Responses) -> bool:
+    """Return whether the poses were taken once along the range at an even pace: any curve may be a drift."""
+    if r.time_s is None or np.ptp(r.time_s) == 0.0:
+        return False
+    return bool(less_line(r, r.time_s[:, None]).std() < ONE_THING * r.time_s.std())
+
+
+def alike_a_drift(r: Responses) -> tuple[str, ...]:
+    """Return the name of the drift that a curve of the elevation may be, if it may be one."""
+    return ("time_drift",) if is_time_elevation(r) else ()
+
+
+def where_axes_show(r: Responses) -> Iterator[Parameters]:
+    """Offer an effect on the accelerometer's axes where an accelerometer was read, or over a full turn.
+
+    Of less than a turn without one, it is a curve of the angle like any other.
+    """
+    if {ANGLE, NORM}.intersection(r.channels) or r.arc_deg >= LEAST_TURN_DEG:
+        yield {}
 
 
 def sin_cos(r: Responses) -> tuple[FloatArray, FloatArray]:
