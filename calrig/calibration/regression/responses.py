@@ -92,6 +92,7 @@ class Responses:
         rounding: (J,) what arithmetic alone may leave of each response: below it there is nothing to judge.
         across_g: (n,) acceleration along the stage's axis, where the accelerometer has a third one. It says
             how far askew a unit sits, as each does: no response, for it would name effects that are none.
+        known_periods_deg: of the axis, that somebody knows.
         arc_deg: that the elevations span.
     """
 
@@ -117,6 +118,7 @@ class Responses:
     rounding: FloatArray
     warnings: tuple[str, ...] = field(default=())
     across_g: FloatArray | None = None
+    known_periods_deg: tuple[float, ...] = ()
     arc_deg: float = field(init=False)
 
     def __post_init__(self) -> None:
