@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from posed import posed
 
 from calrig.calibration.diagnosis.candidate_fits import refined
-from calrig.calibration.diagnosis.candidates import candidate_of
+from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of, harmonics_of
+from calrig.calibration.diagnosis.selection import search
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.effects.stage_periodic import window_peaks
@@ -145,6 +148,54 @@ def test_jitter_tells_the_same_worm_from_its_aliases():
     assert (effect["verdict"], effect["confusable_with"]) == ("named", [])
     stated = effect["parameters"]["period_deg"]
     assert stated["value"] == pytest.approx(9.0, abs=5.0 * stated["std"])
+
+
+def family_of(r, *known_deg):
+    """The periods that are offered without a scan, by the series that they are terms of."""
+    r = replace(r, known_periods_deg=known_deg)
+    offered = [c for c in candidates_of(r) if c.name == "stage_periodic" and "harmonic" in c.shape.at]
+    return r, offered
+
+
+def test_a_known_period_and_its_harmonics_are_candidates_that_pay_for_no_scan():
+    rng = np.random.default_rng(14)
+    _, offered = family_of(responses_of([measured(rng.uniform(-60.0, 60.0, 80), [], rng)]), 9.3)
+    alone = [c for c in offered if c.beside is None]
+    assert [c.shape.at["period_deg"] for c in alone] == pytest.approx([9.3 / k for k in (1, 2, 3)])
+    assert [c.parameters for c in alone] == [2, 2, 2]
+    assert [len(c.members) for c in offered if c.beside is not None] == [2, 3]
+
+
+@pytest.mark.parametrize("known_deg", [(), (9.3,)])
+def test_a_worm_too_weak_to_be_found_among_all_periods_is_found_where_it_is_known(known_deg):
+    rng = np.random.default_rng(15)
+    targets = rng.uniform(-60.0, 60.0, 120)
+    poses = measured(targets, [(9.3, 0.028, 20.0), (4.65, 0.028, 60.0), (3.1, 0.028, 100.0)], rng)
+    r, _ = family_of(responses_of([poses]), *known_deg)
+    found = search(r, candidates_of(r), np.random.default_rng(0), bootstraps=199).found
+    harmonics = [9.3 / f.candidate.shape.at["period_deg"] for f in found]
+    assert bool(harmonics) is bool(known_deg)
+    assert set(harmonics) <= {1.0, 2.0, 3.0}
+
+
+def test_harmonics_of_a_period_that_was_found_are_offered_with_it():
+    rng = np.random.default_rng(16)
+    r = responses_of([measured(rng.uniform(-60.0, 60.0, 80), [], rng)])
+    (shape,) = EFFECTS["stage_periodic"].forms(r, {"period_deg": 9.3})
+    worm = candidate_of(r, EFFECTS["stage_periodic"], shape)
+    offered = harmonics_of(r, [worm])
+    assert [c.shape.at["period_deg"] for c in offered if c.beside is None] == pytest.approx([4.65, 3.1])
+    assert len({c.shape.series for c in offered}) == 1
+    assert len(harmonics_of(r, [worm, offered[0]])) < len(offered)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_orders_of_an_axis_and_the_electrical_period_of_its_motor_are_found_at_once(seed):
+    rng = np.random.default_rng(17 + seed)
+    sizes = {1: 0.4, 2: 0.2, 4: 0.3, 8: 0.1, 50: 0.08}
+    waves = [(360.0 / order, size, 40.0 * order) for order, size in sizes.items()]
+    found = periods_in(effects_in(measured(rng.uniform(0.0, 360.0, 200), waves, rng)))
+    assert sorted(found) == pytest.approx(sorted(360.0 / order for order in sizes), rel=0.005)
 
 
 def test_at_constant_speed_a_wave_of_the_angle_is_no_cycle_of_time():

@@ -228,6 +228,8 @@ def _bends_yet(curve: Curve, beta: FloatArray, residuals: FloatArray, behind: fl
 
 
 STEPS = 5
+BOUND = 2.0
+"""Standard errors of the place, from a bound: there it is looked at where the likelihood would have it."""
 CLOSE = 0.05
 """Standard errors of the place: a smaller step changes nothing."""
 NUDGE = 1e-5
@@ -348,6 +350,25 @@ def _step(r: Responses, one: Refined) -> Generator[_Wanted, _Answer, tuple[float
 
 def _is_distinct(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> bool:
     return all(candidate.is_distinct(r, other) for other in accepted)
+
+
+def _is_at_bound(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> bool:
+    """Return whether a place that was scanned for lies at a bound because the poses carry no better one."""
+    name, at = candidate.effect.place, candidate.shape.at
+    near = BOUND * candidate.shape.at_std.get(name, 0.0) if candidate.shape.scanned else 0.0
+
+    def is_carried(place: float) -> bool:
+        return candidate.effect.carried(r, replace(candidate.shape, at={**at, name: place}))
+
+    if near == 0.0 or near >= at[name] or (is_carried(at[name] - near) and is_carried(at[name] + near)):
+        return False
+    model = fitted_model(r, accepted)
+    seen, others = model.responses, model.accepted
+    columns = model_columns(seen, [*others, candidate])
+    own = fit(seen, columns).beta[-candidate.columns.shape[2] :]
+    moving = fit(seen, np.concatenate([columns, slope(seen, candidate, own)], axis=2))
+    step, std = float(moving.beta[-1]), math.sqrt(max(float(moving.covariance[-1, -1]), 0.0))
+    return abs(step) > BOUND * std and not is_carried(at[name] + step)
 
 
 def _moved(r: Responses, candidate: Candidate, at: Parameters) -> Candidate:
@@ -520,8 +541,9 @@ def _alike(
 ) -> tuple[list[Candidate], tuple[Candidate, ...]]:
     """The claimed one at its best place with its rivals at others, and all that explain these poses as well.
 
-    The largest of equals comes first: a long period before those that only the spacing makes of it. A place
-    known beforehand, such as an order of the turn, is likelier than one among many by what a scan costs.
+    A known one of equals comes first, then the largest: a long period before those that only the spacing
+    makes of it. A place known beforehand, such as an order of the turn, is likelier than one among many by
+    what a scan costs.
     """
     effect = claimed.effect
     (best,) = refined(r, accepted, [claimed])
@@ -544,7 +566,7 @@ def _alike(
     if not goes_round(r):  # there an order of the turn is no likelier than what is the same thing
         likely.update(c for criterion, c in found if criterion - least < INDISTINCT)
     near = [c for _, c in found if c in likely]
-    near = sorted(near, key=lambda c: -c.shape.at[effect.place])
+    near = sorted(near, key=lambda c: (c.shape.scanned, -c.shape.at[effect.place]))
     return near, tuple(c for c in equal if c is not near[0])
 
 
@@ -611,7 +633,8 @@ def _ranked(
     ranked = []
     for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
         penalised = criterion + bic_penalty * c.parameters
-        ranked.append((penalised if c.is_possible(own) else np.inf, c))
+        may_be = c.is_possible(own) and not _is_at_bound(r, accepted, c)
+        ranked.append((penalised if may_be else np.inf, c))
     place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
     return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
 

@@ -23,7 +23,7 @@ from calrig.calibration.regression.run_changes import (
     shapes_of,
     since,
 )
-from calrig.calibration.regression.terms import LEAST_TURN_DEG
+from calrig.calibration.regression.terms import LEAST_TURN_DEG, THE_TURN
 from calrig.estimation.angles import FloatArray
 
 MOST_COLUMNS = 0.2
@@ -218,12 +218,32 @@ def goes_round(r: Responses) -> bool:
 
 
 def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
-    """The first terms of the turn's series as one, so many and more: each alone may look like noise."""
-    if not goes_round(r):
-        return []
-    terms = (c for c in shown if c.shape.series and not c.shape.scanned)
-    joined = list(accumulate(terms, _together))
-    return [c for c in joined[1:] if c.columns.shape[2] <= MOST_COLUMNS * len(r)]
+    """The first terms of each series as one, so many and more: each alone may look like noise.
+
+    Orders of the turn only where the poses go round.
+    """
+    joined: list[Candidate] = []
+    terms = [c for c in shown if c.shape.series and not c.shape.scanned]
+    for series in dict.fromkeys(c.shape.series for c in terms):
+        if series != THE_TURN or goes_round(r):
+            joined += list(accumulate((c for c in terms if c.shape.series == series), _together))[1:]
+    return [c for c in joined if c.columns.shape[2] <= MOST_COLUMNS * len(r)]
+
+
+def harmonics_of(r: Responses, accepted: Sequence[Candidate]) -> list[Candidate]:
+    """Return the further terms of causes in a model, each and the first of them as one."""
+    found = []
+    for first in accepted:
+        if first.changed is None:
+            terms = [
+                candidate_of(r, first.effect, shape)
+                for at in first.effect.harmonics(r, first.shape)
+                for shape in first.effect.forms(r, at)
+                if first.effect.carried(r, shape)
+            ]
+            terms = [c for c in terms if all(c.is_distinct(r, other) for other in accepted)]
+            found += [*terms, *_series(r, terms)]
+    return found
 
 
 def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate]:

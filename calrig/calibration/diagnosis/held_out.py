@@ -25,6 +25,7 @@ from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
+from calrig.calibration.effects.stage_periodic import spacing_deg
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
@@ -135,17 +136,19 @@ def without_harm(
 
 
 def folds_of(r: Responses) -> npt.NDArray[np.intp]:
-    """Return (n,) fold of each pose, dealt along the elevations of each approach, in a random order.
+    """Return (n,) fold of each pose, dealt out in turn along each approach's elevations.
 
-    So every fold has both approaches, all elevations, and poses from early and late. Each fourth of evenly
-    spaced poses would be one fold if they were dealt out in turn: without it twice the spacing looks like
-    four times the spacing. The order is the same for equally many poses.
+    So every fold has both approaches, all elevations, and poses from early and late. Evenly spaced poses are
+    dealt in a random order, the same for equally many: if each fourth of them were left out, a wave of twice
+    the spacing would look like one of four times the spacing.
     """
     approach = np.zeros(len(r)) if r.approach is None else r.approach
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
     fold = np.empty(len(r), dtype=np.intp)
     rounds = np.tile(np.arange(FOLDS), (-(-len(r) // FOLDS), 1))
-    fold[order] = np.random.default_rng(len(r)).permuted(rounds, axis=1).ravel()[: len(r)]
+    if spacing_deg(r.theta_deg) is not None:
+        rounds = np.random.default_rng(len(r)).permuted(rounds, axis=1)
+    fold[order] = rounds.ravel()[: len(r)]
     return fold
 
 

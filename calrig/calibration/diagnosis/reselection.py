@@ -15,13 +15,14 @@ from itertools import permutations
 import numpy as np
 
 from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect, at_best_place, named
-from calrig.calibration.diagnosis.candidates import Candidate, at_its_elevations, own_columns
+from calrig.calibration.diagnosis.candidates import Candidate, at_its_elevations, harmonics_of, own_columns
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.regression.channels import READING
 from calrig.calibration.regression.effect import HIDDEN, Parameters
 from calrig.calibration.regression.noise_model import Fit, stacked
 from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import THE_TURN
 from calrig.estimation.angles import FloatArray
 
 HOPELESS = 80.0
@@ -139,6 +140,8 @@ def offered(
         if c.columns.shape[2] > room:
             return False
         if c.beside is not None:
+            if c.shape.series not in ("", THE_TURN):  # its terms may be in the model one by one
+                return all(one.is_distinct(r, other) for one in c.members for other in accepted)
             return not any(one.label in once or one.name in always for one in c.members)
         if c.shape.beside and not followed.issuperset(c.shape.beside):
             return False
@@ -146,7 +149,8 @@ def offered(
             return False
         return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
-    allowed = [c for c in candidates if c.label not in refused and may_enter(c)]
+    every = [*candidates, *harmonics_of(r, accepted)]
+    allowed = [c for c in every if c.label not in refused and may_enter(c)]
     return [at_its_elevations(r, c) for c in allowed] if r.is_delayed else allowed
 
 

@@ -91,6 +91,8 @@ LEAST_LEFT = 0.3
 """Of a wave's power beside bias and scale, at its worst phase: longer periods are not resolved from them."""
 PLACES, MOST_PLACES, PLACES_A_POSE = (3.0, 2.0), 400, 12.0
 """Frequencies scanned to a resolution of 1/arc: fewer where there are many; so many to a pose at most."""
+MOST_HARMONICS = 8
+"""Of a worm or a motor: more of them are what a curve is."""
 APART = 0.75
 """Of a resolution: two waves closer than that are one, and cancel each other where both are fitted."""
 ALIKE_POWER, MOST_ALIKE = 0.4, 12
@@ -103,6 +105,8 @@ SURE = 2.0
 
 def _scan(r: Responses) -> Iterator[Parameters]:
     arc = float(np.ptp(r.theta_deg))
+    for known_deg in r.known_periods_deg:
+        yield from _family(r, known_deg, 1)
     if arc < 3.0 * SHORTEST_PERIOD_DEG:
         return
     frequencies = _scanned(r.theta_deg, arc)
@@ -114,6 +118,23 @@ def _scan(r: Responses) -> Iterator[Parameters]:
     for k in np.flatnonzero(resolved):
         order = {"order": float(USUAL_ORDERS[k])} if k < len(orders) else {}
         yield {"period_deg": float(periods[k]), **order}
+
+
+def _family(r: Responses, period_deg: float, first: int) -> Iterator[Parameters]:
+    """Yield a period's harmonics from the first wanted one to what the mean spacing resolves."""
+    places = len(np.unique(r.theta_deg))
+    for harmonic in range(first, MOST_HARMONICS + 1):
+        own_deg = period_deg / harmonic
+        if harmonic > 1 and own_deg < 2.0 * r.arc_deg / places:
+            return
+        if _left_beside(r.base[:, 0, :], r.theta_deg, np.array([own_deg]))[0] >= LEAST_LEFT:
+            yield {"period_deg": own_deg, "harmonic": float(harmonic), "of_deg": period_deg}
+
+
+def _harmonics(r: Responses, shape: Shape) -> Iterator[Parameters]:
+    """Yield the further harmonics of a period that was found, which is no order of the turn."""
+    if not shape.series:
+        yield from _family(r, shape.at["period_deg"], 2)
 
 
 def _scanned(theta_deg: FloatArray, arc: float) -> FloatArray:
@@ -162,6 +183,21 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     shares = {READING: mean, ANGLE: mean, MOVE: felt}
     names = ("amplitude_deg", "phase_deg")
     at_elevation = None if r.stretch_deg.any() else partial(_waves, period_deg=period_deg)
+    if "harmonic" in at:
+        of_deg, harmonic = at["of_deg"], at["harmonic"]
+        known = "the known period" if of_deg in r.known_periods_deg else "the period"
+        yield Shape(
+            shares,
+            names,
+            form="harmonic",
+            at={"period_deg": period_deg, "harmonic": harmonic, "of_deg": of_deg},
+            says=f"{known} of {of_deg:.5g}°"
+            if harmonic == 1.0
+            else f"harmonic {harmonic:g} of {known} of {of_deg:.5g}°",
+            at_elevation=at_elevation,
+            series=f"period of {of_deg:.6g}°",
+        )
+        return
     if "order" not in at:
         yield Shape(shares, names, at={"period_deg": period_deg}, scanned=True, at_elevation=at_elevation)
         return
@@ -184,6 +220,8 @@ def _waves(theta_deg: FloatArray, period_deg: float) -> FloatArray:
 
 def _settled(at: Parameters, std: Parameters) -> Parameters:
     """Return the order of the turn that a period is, where its standard error leaves one and no other."""
+    if "harmonic" in at:
+        return at
     order = TURN_DEG / at["period_deg"]
     order_std = order * std["period_deg"] / at["period_deg"]
     nearest = round(order)
@@ -256,4 +294,5 @@ EFFECT = Effect(
         "correct by the unit's calibration; look at how the sensor is centred, its channels and its poles",
     ),
     carried=_carried,
+    harmonics=_harmonics,
 )

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.effects.unnamed import POSES_A_KNOT, natural_spline
+from calrig.calibration.effects.unnamed import POSES_A_KNOT
 from calrig.calibration.regression.channels import ANGLE
 from calrig.calibration.regression.effect import (
     TIME,
@@ -26,6 +26,7 @@ from calrig.calibration.regression.effect import (
     linear,
 )
 from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.spline import natural_spline
 from calrig.calibration.regression.terms import is_time_elevation, less_line, size_deg, tilted
 from calrig.estimation.angles import FloatArray
 

@@ -74,7 +74,7 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part", "order", "over_s")
+HIDDEN = ("pose", "part", "order", "over_s", "harmonic", "of_deg")
 """Places that serve the search alone and are in no document."""
 
 
@@ -305,6 +305,7 @@ class Effect:
         look_alikes: places that these poses may not tell from a shape's, the likeliest first.
         distinct: whether two shapes at different places can both be in one model of these poses; else always.
         carried: whether these poses determine the coefficients of a shape together with its place.
+        harmonics: places of the further terms of one cause, once a shape that is the first of them is found.
         reported, evidence: a document's parameters of coefficients and covariance; sentences about a shape.
         not_linear: (n,) a channel, what the forms' columns do not say, of the effect's own coefficients.
         late_by_deg: (n,) by how much the elevation changed since the one that a late reading stands for, of
@@ -337,6 +338,7 @@ class Effect:
     look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
     distinct: Callable[[Responses, Shape, Shape], bool] | None = None
     carried: Callable[[Responses, Shape], bool] = lambda _r, _shape: True
+    harmonics: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
     evidence: Callable[[Responses, Shape], list[str]] = lambda _r, _shape: []
     not_linear: Callable[[Responses, FloatArray], Mapping[str, FloatArray]] | None = None
