@@ -81,8 +81,8 @@ def _reference_may_be_good(diagnosis: Document, std_deg: float | None) -> list[s
         return []
     return [
         f"The residual of bias and scale, {angle_text(before_deg)}, is {before_deg / std_deg:.0f} times the "
-        f"stated uncertainty of the reference, {angle_text(std_deg)}: if that holds, the sensor errs, not the "
-        "stage. Then diagnose with reference `good`."
+        f"stated uncertainty of the reference, {angle_text(std_deg)}: if that holds, the sensor errs, not "
+        "the stage. Then diagnose with reference `good`."
     ]
 
 
