@@ -164,8 +164,8 @@ def calibration_content(
 def turns_of_readings_deg(poses: Sequence[Pose], line: Line) -> float:
     """Return the whole turns, degrees, by which most readings lie beyond the line.
 
-    A sensor that counts from 0° to 360° lies a turn away from a reference that goes on. With these turns in the
-    bias its readings need no wrapping, which takes another angle where the scale is not 1.
+    A sensor that counts from 0° to 360° may lie a turn from a reference that goes on. With these turns in
+    the bias its readings need no wrapping, which takes another angle where the scale is not 1.
     """
     scale = 1.0 if line.scale is None else line.scale
     beyond_deg = [pose.reading_deg - line.bias_deg - scale * pose.theta_deg for pose in poses]
