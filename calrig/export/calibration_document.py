@@ -21,7 +21,7 @@ from calrig.calibration.separation import in_words
 from calrig.calibration.uncertainty import reference_figures, uncertainty
 from calrig.canonical_json import sha256_of
 from calrig.errors import InputError
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.model.result import Reference
 from calrig.store.records import AcceptedEffect, Document
 
@@ -138,7 +138,7 @@ def calibration_content(
         "rig": rig,
         "range_deg": [float(elevations.min()), float(elevations.max())],
         "model": MODEL,
-        "bias_deg": line.bias_deg,
+        "bias_deg": line.bias_deg + turns_of_readings_deg(poses, line),
         "scale": line.scale,
         "covariance": None if line.covariance is None else [list(row) for row in line.covariance],
         "effects": [
@@ -161,6 +161,17 @@ def calibration_content(
     }
 
 
+def turns_of_readings_deg(poses: Sequence[Pose], line: Line) -> float:
+    """Return the whole turns, degrees, by which most readings lie beyond the line.
+
+    A sensor that counts from 0° to 360° may lie a turn from a reference that goes on. With these turns in
+    the bias its readings need no wrapping, which takes another angle where the scale is not 1.
+    """
+    scale = 1.0 if line.scale is None else line.scale
+    beyond_deg = [pose.reading_deg - line.bias_deg - scale * pose.theta_deg for pose in poses]
+    return 360.0 * round(float(np.median(beyond_deg)) / 360.0)
+
+
 def _by_map(
     elevations: FloatArray, line: Line, reference: Reference | None, provenance: Document
 ) -> dict[str, Any]:
@@ -173,11 +184,11 @@ def _by_map(
 
 
 def line_of(document: Mapping[str, Any]) -> Line:
-    """Bias and scale of such a document, with their standard errors."""
+    """Bias and scale of such a document, with their standard errors; the bias in (−180, 180]."""
     covariance = document["covariance"]
     stds = (None, None) if covariance is None else (covariance[0][0] ** 0.5, covariance[1][1] ** 0.5)
     return Line(
-        bias_deg=document["bias_deg"],
+        bias_deg=wrap_deg(float(document["bias_deg"])),
         scale=document["scale"],
         bias_std_deg=stds[0],
         scale_std=stds[1],

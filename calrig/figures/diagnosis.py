@@ -10,6 +10,7 @@ import numpy as np
 from calrig.calibration.diagnosis import DrawnResiduals, PartialResidual
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.line import rms
+from calrig.calibration.results import numbers_of
 from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 from calrig.figures.files import Rows
@@ -57,21 +58,23 @@ def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
     return {"data": [trace], "layout": layout}
 
 
-def partial_residual(found: PartialResidual, period: float | None = None) -> Figure:
+def partial_residual(found: PartialResidual, wave: Mapping[str, float] | None = None) -> Figure:
     """Return the partial residual of one effect against its covariate, with the fitted effect through it.
 
     The effect is a line where it is a function of the covariate, points where it depends on more than that.
 
     Args:
         found: the partial residual.
-        period: of an effect that repeats many times: the poses are laid over each other in one period.
+        wave: `amplitude_deg`, `phase_deg` and `period_deg` of a wave of the angle; the poses of many periods
+            are laid over each other in one.
     """
     layout = layout_of(as_text(_axis(found.covariate)), "partial residual (°)")
     layout["yaxis"]["zeroline"] = True
     at = found.at
-    if period is not None and np.ptp(at) > MANY_PERIODS * period:
-        at = np.mod(at, period)
-        layout["xaxis"]["title"]["text"] = f"{as_text(_axis(found.covariate))}, in one period of {period:.5g}"
+    is_folded = wave is not None and np.ptp(at) > MANY_PERIODS * wave["period_deg"]
+    if wave is not None and is_folded:
+        at = np.mod(at, wave["period_deg"])
+        layout["xaxis"]["title"]["text"] += f", in one period of {wave['period_deg']:.5g}°"
     if found.covariate == "approach":
         at = _spread_by_elevation(found)
         senses = [int(sense) for sense in np.unique(found.at)]
@@ -87,7 +90,16 @@ def partial_residual(found: PartialResidual, period: float | None = None) -> Fig
         "marker": {"color": PALETTE[0], "size": 6, "opacity": 0.7},
         "hovertemplate": "at %{customdata:.2f}°: %{y:.4f}°<extra></extra>",
     }
-    return {"data": [points, _fitted(found, at)], "layout": layout}
+    fitted = _one_period(wave) if wave is not None and is_folded else _fitted(found, at)
+    return {"data": [points, fitted], "layout": layout}
+
+
+def _one_period(wave: Mapping[str, float]) -> dict[str, Any]:
+    turn = np.linspace(0.0, 1.0, CURVE_POINTS)
+    effect_deg = wave["amplitude_deg"] * np.sin(2.0 * np.pi * turn + np.radians(wave["phase_deg"]))
+    x, y = (turn * wave["period_deg"]).tolist(), effect_deg.tolist()
+    line = {"color": PALETTE[1], "width": 3}
+    return {"type": "scatter", "mode": "lines", "name": "fitted effect", "x": x, "y": y, "line": line}
 
 
 def diagnosis_figures(found: DrawnResiduals, effects: Sequence[Mapping[str, Any]]) -> Rows:
@@ -108,7 +120,7 @@ def diagnosis_figures(found: DrawnResiduals, effects: Sequence[Mapping[str, Any]
         )
     ]
     cells = [
-        (_caption(effect), partial_residual(part, _period(effect)))
+        (_caption(effect), partial_residual(part, _wave(effect)))
         for effect, part in zip(effects, found.effects, strict=True)
     ]
     return [*rows, *(cells[k : k + 2] for k in range(0, len(cells), 2))]
@@ -145,14 +157,15 @@ def _caption(effect: Mapping[str, Any]) -> str:
         return as_text(
             f"Something that follows {covariate_of(effect['covariate']).title} ({effect['verdict']})"
         )
-    title, period_deg = EFFECTS[effect["name"]].title_of(effect["origin"]), _period(effect)
-    of_period = f", period {period_deg:.5g}°" if period_deg else ""
+    title, wave = EFFECTS[effect["name"]].title_of(effect["origin"]), _wave(effect)
+    of_period = f", period {wave['period_deg']:.5g}°" if wave else ""
     return f"{title}{of_period} ({effect['verdict']})"
 
 
-def _period(effect: Mapping[str, Any]) -> float | None:
-    found = effect["parameters"].get("period_deg")
-    return found and float(found["value"])
+def _wave(effect: Mapping[str, Any]) -> dict[str, float] | None:
+    numbers = numbers_of(effect["parameters"])
+    is_wave = {"amplitude_deg", "phase_deg", "period_deg"} <= numbers.keys() and not effect.get("changed")
+    return numbers if is_wave else None
 
 
 def _axis(name: str) -> str:
@@ -222,7 +235,7 @@ def _levels(found: PartialResidual, at: FloatArray) -> dict[str, list[float | No
         side = np.flatnonzero(found.at == approach)
         ends = side[[at[side].argmin(), at[side].argmax()]]
         x += [*at[ends].tolist(), None]
-        y += [*found.effect_deg[ends].tolist(), None]
+        y += [float(np.median(found.effect_deg[side]))] * len(ends) + [None]
     return {"x": x[:-1], "y": y[:-1]}
 
 

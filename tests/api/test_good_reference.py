@@ -125,3 +125,13 @@ def test_what_cannot_be_assumed_is_refused(bench, traced, body, place):
     )
     assert answer.status_code == 422
     assert place in str(answer.json()).lower()
+
+
+def test_an_encoder_that_counts_from_0_to_360_beside_a_reference_that_goes_on(bench):
+    """A scale of 1.01 is 3.6° off where a reading is taken off its turn."""
+    target_deg = np.linspace(258.0, 616.0, 60)
+    reading_deg = (0.25 + 1.01 * (target_deg - 258.0)).round(4)
+    rows = (f"{target},{reading}" for target, reading in zip(target_deg, reading_deg, strict=True))
+    imported(bench, "EN-2", "\n".join(["target_deg,reading_deg", *rows]), rig="bench-1")
+    document = bench.get("/api/units/EN-2/calibration?revision=latest").json()
+    np.testing.assert_allclose(Calibration(document).elevation_deg(reading_deg), target_deg, atol=1e-3)

@@ -114,3 +114,15 @@ def test_files_and_runs_are_not_mixed_and_a_file_of_that_name_is_meant(folder, r
     assert reason("diagnose", run_id, status=1) == f"calrig: there is no run {run_id}"
     (folder / run_id).write_text("target_deg,reading_deg\n0,0.1\n10,x\n")
     assert f"{run_id}: line 3, column reading_deg" in reason("diagnose", run_id, status=2)
+
+
+@pytest.mark.parametrize("period", ["0", "-7.2", "360.5", "nan", "inf"])
+def test_a_period_that_no_axis_has_is_wrong_usage(warming, period):
+    assert "period" in reason("diagnose", warming, f"--period={period}", status=2)
+
+
+def test_what_was_assumed_is_in_the_document_and_the_residuals_are_drawn(warming, folder):
+    asked = ("--reference", "good", "--period", "30", "--period", "7.2", "--plot", "left.html")
+    found = json.loads(calrig("diagnose", warming, "--json", *asked).stdout)
+    assert (found["reference"], found["known_periods_deg"]) == ("good", [7.2, 30.0])
+    assert "Bias and scale, by angle" in (folder / "left.html").read_text()

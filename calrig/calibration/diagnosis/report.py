@@ -280,8 +280,11 @@ def drawn_residuals(
     partial = []
     for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
         at = _column(r, candidate.covariate)
-        residual_deg = fitted.residuals[:, 0] + own
-        partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, own))
+        effect_deg = own
+        if candidate.shape.knots:  # a straight line in a curve is bias and scale
+            effect_deg = own - np.polyval(np.polyfit(r.theta_deg, own, 1), r.theta_deg)
+        residual_deg = fitted.residuals[:, 0] + effect_deg
+        partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, effect_deg))
     return DrawnResiduals(r.theta_deg, r.time_s, before_deg, after_deg, partial)
 
 

@@ -30,6 +30,7 @@ from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.spline import (
     FEWEST_KNOTS,
     SplineCurve,
+    bent_columns,
     curve_document,
     knots_of,
     natural_spline,
@@ -354,7 +355,10 @@ def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documen
     if shape.form == CIRCLE:
         found["at"] = amplitude_and_phase(shape, beta[::-1], covariance[::-1, ::-1])["phase_deg"]
     if len(shape.knots) >= FEWEST_KNOTS:
-        found |= curve_document(np.array(shape.knots), beta, covariance)
+        columns = shape.shares[READING]
+        bent = replace(shape, shares={READING: bent_columns(columns)})
+        found["size_deg"] = size_deg(bent, beta, covariance)
+        found |= curve_document(np.array(shape.knots), columns, beta, covariance)
     return found
 
 

@@ -57,21 +57,40 @@ def _basis(u: FloatArray, knots: FloatArray) -> FloatArray:
     return np.asarray(np.column_stack([u, *straightened]), dtype=np.float64)
 
 
-def curve_document(knots: FloatArray, beta: FloatArray, covariance: FloatArray) -> Documents:
+def curve_document(
+    knots: FloatArray, columns: FloatArray, beta: FloatArray, covariance: FloatArray
+) -> Documents:
     """Return knots and the values there, with standard errors, of the curve with coefficients beta (p,).
 
     Args:
         knots: (k,) of the basis.
+        columns: (n, p) of the basis in the poses.
         beta: (p,) coefficients of the basis.
         covariance: (p, p) of them.
     """
-    columns = _basis(_unit(knots), _unit(knots))
+    columns = bent_columns(columns, knots)
     variance = np.einsum("ki,ij,kj->k", columns, covariance, columns)
     document: Documents = {}
     for k, (knot, value, square) in enumerate(zip(knots, columns @ beta, variance, strict=True)):
         document[KNOT.format(k)] = {"value": float(knot), "std": None}
         document[VALUE.format(k)] = {"value": float(value), "std": math.sqrt(max(float(square), 0.0))}
     return document
+
+
+def bent_columns(columns: FloatArray, knots: FloatArray | None = None) -> FloatArray:
+    """Return columns of the basis without their straight lines over the poses, which are bias and scale.
+
+    Args:
+        columns: (n, p) of the basis in the poses.
+        knots: (k,) where the columns are wanted instead of the poses.
+
+    Returns:
+        (n, p), or (k, p).
+    """
+    u = columns[:, 0]
+    lines = np.linalg.lstsq(np.column_stack([np.ones_like(u), u]), columns, rcond=None)[0]
+    there = columns if knots is None else _basis(_unit(knots), _unit(knots))
+    return np.asarray(there - np.column_stack([np.ones(len(there)), there[:, 0]]) @ lines)
 
 
 def _unit(knots: FloatArray) -> FloatArray:
