@@ -308,7 +308,8 @@ def linearised(raw_g: FloatArray, columns: FloatArray, beta: FloatArray) -> tupl
 
 def undetermined_base(poses: StaticPoses) -> list[str]:
     """What of bias and scale these poses do not determine, such as `bias x`; empty where all is well."""
-    direction = poses.accel_g / np.linalg.norm(poses.accel_g, axis=1)[:, None]
+    size_g = np.linalg.norm(poses.accel_g, axis=1)
+    direction = poses.accel_g / np.maximum(size_g, SHORTEST_G)[:, None]
     columns = np.concatenate([direction, direction**2], axis=1)
     _, values, vectors = np.linalg.svd(columns, full_matrices=len(columns) < BASE)
     values = np.concatenate([values, np.zeros(BASE - len(values))]) / np.sqrt(len(poses))

@@ -272,6 +272,8 @@ def test_any_table_gives_a_result_or_a_reason():
             accel_g = np.cumsum(accel_g, axis=0) / np.sqrt(n)
         elif kind == 5:
             accel_g[:] = accel_g[0]
+        elif kind == 6:
+            accel_g[rng.integers(0, n)] = 0.0
         time_s = [None, np.zeros(n), np.arange(n) * 0.01, np.arange(n) * 30.0][rng.integers(0, 4)]
         temperature_c = None if seed % 3 else np.full(n, 20.0) + rng.choice([0.0, 1.0]) * np.arange(n)
         try:
