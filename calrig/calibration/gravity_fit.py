@@ -29,6 +29,8 @@ ITERATIONS = 50
 CONVERGED = 1e-12
 LARGEST = 1e3
 SHORTEST_G = 1e-9
+LEAST_FACTOR = 0.01
+"""Of raw to true; a fit with less has turned an axis round."""
 FEWEST_POSES = 9
 """Six unknowns, and some degrees of freedom when one pose is left out."""
 FREEDOM_TO_JUDGE = 6
@@ -226,9 +228,12 @@ class GravityFit:
 
     @property
     def covariance(self) -> FloatArray:
-        """(6 + 3k, 6 + 3k) of `beta`."""
+        """(6 + 3k, 6 + 3k) of `beta`, as of Student's t (JCGM 101:2008, 6.4.9.4).
+
+        The residual variance is itself an estimate, of n − p degrees of freedom.
+        """
         n, p = self.jacobian.shape
-        variance = float(self.residual_g @ self.residual_g) / max(n - p, 1)
+        variance = float(self.residual_g @ self.residual_g) / max(n - p - 2, 1)
         return np.asarray(variance * np.linalg.pinv(self.jacobian.T @ self.jacobian), dtype=np.float64)
 
     @property
@@ -282,6 +287,8 @@ def fit_gravity(problem: Problem, effects: Sequence[GravityEffect] = ()) -> Grav
         step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
         beta = beta + step
         if np.abs(step).max() < CONVERGED:
+            if beta[3:BASE].min() <= LEAST_FACTOR - 1.0:
+                break
             return GravityFit(tuple(effects), beta, *linearised(problem.raw_g, columns, beta))
         if np.abs(beta).max() > LARGEST:
             break
@@ -301,7 +308,8 @@ def linearised(raw_g: FloatArray, columns: FloatArray, beta: FloatArray) -> tupl
 
 def undetermined_base(poses: StaticPoses) -> list[str]:
     """What of bias and scale these poses do not determine, such as `bias x`; empty where all is well."""
-    direction = poses.accel_g / np.linalg.norm(poses.accel_g, axis=1)[:, None]
+    size_g = np.linalg.norm(poses.accel_g, axis=1)
+    direction = poses.accel_g / np.maximum(size_g, SHORTEST_G)[:, None]
     columns = np.concatenate([direction, direction**2], axis=1)
     _, values, vectors = np.linalg.svd(columns, full_matrices=len(columns) < BASE)
     values = np.concatenate([values, np.zeros(BASE - len(values))]) / np.sqrt(len(poses))

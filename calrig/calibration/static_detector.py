@@ -14,6 +14,7 @@ import numpy as np
 from calrig.calibration.gravity_fit import (
     FEWEST_POSES,
     MISALIGNMENT,
+    NORMAL_QUARTILE,
     Problem,
     consistent_poses,
     fit_gravity,
@@ -41,8 +42,11 @@ FEWEST_IN_WINDOW = 8
 NARROWEST = 4
 """Samples of the first window that is tried where no rate is known."""
 WIDER = 1.5
-AS_GOOD = 0.15
-"""Windows whose mean standard error is within this share of the best one's agree equally well."""
+AS_GOOD = 1.15
+"""Windows whose mean standard error is at most so many times the best one's agree equally well."""
+GOOD_ENOUGH = 4.0
+"""The same of poses from a known rate or a table's own order: chance gives few poses a small residual."""
+FEWEST_DEGREES = 3
 MOST_POSITIONS = 5000
 """A longer table is a log."""
 APART = 2.0
@@ -90,7 +94,9 @@ def static_poses(
             stated = [means(_spans_at_rate(accel_g, rate_hz, gyro_dps), "", at_rate_s)]
         except GravityError as error:
             reason = error
-    stated += [means(spans, _rows_each(spans)) for spans in [position_spans(accel_g)] if spans]
+    if spans := position_spans(accel_g):
+        is_slow = rate_hz is not None and WINDOW_S * rate_hz < FEWEST_IN_WINDOW
+        stated.insert(0 if is_slow else len(stated), means(spans, _rows_each(spans)))
     tried: list[StaticPoses] = []
     if rate_hz is None or max(map(len, stated), default=0) < FEWEST_POSES:
         tried = [means(*one) for one in _spans_without_rate(accel_g, gyro_dps)]
@@ -107,12 +113,14 @@ def has_one_row_a_pose(accel_g: FloatArray) -> bool:
         return False
     poses = poses_of([(k, k + 1) for k in range(rows)], accel_g)
     if undetermined_base(poses):
-        return False
-    problem = Problem.of(poses)
-    try:
-        _, scale_g = robust_scale_g(problem, largest_model(problem))
-    except GravityError:
-        return False
+        size_g = np.linalg.norm(accel_g, axis=1)
+        scale_g = float(np.median(np.abs(size_g - np.median(size_g)))) / NORMAL_QUARTILE
+    else:
+        problem = Problem.of(poses)
+        try:
+            _, scale_g = robust_scale_g(problem, largest_model(problem))
+        except GravityError:
+            return False
     steps_g = np.linalg.norm(np.diff(accel_g, axis=0), axis=1)
     return bool(np.quantile(steps_g, 0.1) > APART * scale_g)
 
@@ -162,10 +170,11 @@ def _best(stated: list[StaticPoses], tried: list[StaticPoses]) -> StaticPoses | 
     if not known:
         found = max((*stated, *tried), key=len, default=None)
         return found if found is not None and len(found) else None
-    limit = (1.0 + AS_GOOD) * min(std for (std, _), _ in known)
-    good = [(-outliers, len(poses), poses) for (std, outliers), poses in known if std <= limit]
-    if any(good[0][-1] is poses for poses in stated):
-        return good[0][-1]
+    least = min(std for (std, _), _ in known)
+    for (std, _), poses in known:
+        if any(poses is one for one in stated) and std <= GOOD_ENOUGH * least:
+            return poses
+    good = [(-outliers, len(poses), poses) for (std, outliers), poses in known if std <= AS_GOOD * least]
     most = max((agreeing, count) for agreeing, count, _ in good)
     best = [poses for agreeing, count, poses in good if (agreeing, count) == most]
     return best[len(best) // 2]
@@ -185,9 +194,9 @@ def _judged(poses: StaticPoses) -> tuple[float, int] | None:
         fitted = fit_gravity(problem.rows(kept), effects)
     except GravityError:
         return None
-    outliers = int((~kept).sum())
+    outliers, degrees = int((~kept).sum()), len(fitted.residual_g) - len(fitted.beta)
     sign, log_volume = np.linalg.slogdet(fitted.covariance)
-    if outliers > outlier_limit(len(poses)) or sign <= 0.0:
+    if outliers > outlier_limit(len(poses)) or sign <= 0.0 or degrees < FEWEST_DEGREES:
         return None
     return float(np.exp(0.5 * log_volume / len(fitted.beta))), outliers
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -133,6 +134,161 @@ def test_misalignment_is_found_with_parameters_and_errors_that_hold():
     assert np.mean(np.abs(apart) < 3.0) >= 0.98
 
 
+def written(poses_g, rng, *, rows=1, noise_g=1e-3):
+    """A table of positions: `rows` of each, or that many drawn for each, with a sensor's errors and noise."""
+    each = np.full(len(poses_g), rows) if np.isscalar(rows) else rng.integers(*rows, len(poses_g))
+    raw = np.repeat(BIAS_G + SCALE * np.linalg.solve(MATRIX, poses_g.T).T, each, axis=0)
+    return raw + rng.normal(0.0, noise_g, raw.shape)
+
+
+@pytest.mark.parametrize(("n", "rows", "held_out_mg"), [(160, 1, 1.2), (24, 1, 1.8), (60, (3, 11), 0.7)])
+@pytest.mark.parametrize("time", ["none", "row by row"])
+def test_a_table_of_one_or_some_rows_a_position_is_one_pose_each(n, rows, held_out_mg, time):
+    rng = np.random.default_rng(20)
+    accel_g = written(directions(rng, n), rng, rows=rows)
+    time_s = None if time == "none" else np.arange(len(accel_g)) * 10.0
+
+    document = gravity_document(calibrate_by_gravity(accel_g, time_s=time_s))
+
+    assert document["n_poses"] == n
+    assert [effect["name"] for effect in document["effects"]] == ["misalignment"]
+    assert document["final"]["held_out_rms_mg"] <= held_out_mg
+    assert ("one row a position" if rows == 1 else f"{n} positions") in document["warnings"][0]
+    for name, truth in (("bias", BIAS_G), ("scale", SCALE)):
+        std = np.array(document["final"]["bias_std_g" if name == "bias" else "scale_std"])
+        found = np.array(document["final"]["bias_g" if name == "bias" else "scale"])
+        assert (np.abs(found - truth) < 4.0 * std).all()
+
+
+def test_bad_rows_are_named_by_line_and_left_out():
+    rng = np.random.default_rng(21)
+    accel_g = written(directions(rng, 178), rng)
+    clean = gravity_document(calibrate_by_gravity(np.delete(accel_g, [28, 134, 164], axis=0)))
+    accel_g[28] *= 0.93
+    accel_g[134, 2] += 0.4 * np.sign(accel_g[134, 2])
+    accel_g[164] *= 1.02
+
+    document = gravity_document(calibrate_by_gravity(accel_g), line_of=lambda row: row + 2)
+
+    named = [warning.split(":")[0] for warning in document["warnings"] if "left out" in warning]
+    assert named == ["line 30", "line 136", "line 166"]
+    assert document["n_poses"] == 175
+    assert document["final"]["matrix"] == clean["final"]["matrix"]
+
+
+def test_a_pose_that_was_moved_is_named_by_its_samples_in_a_log_of_any_rate():
+    rng = np.random.default_rng(22)
+    _, accel_g = log_of(directions(rng, 24), rng)
+    accel_g[3500:3900] *= 1.05
+    document = gravity_document(calibrate_by_gravity(accel_g))
+    (named,) = (warning for warning in document["warnings"] if "left out" in warning)
+    first, last = map(int, re.findall(r"\d+", named.split(":")[0]))
+    assert 3500 <= first < last < 3900
+    assert document["final"]["held_out_rms_mg"] < 1.0
+
+
+@pytest.mark.parametrize("rate_hz", [10, 100, 1000])
+def test_without_a_rate_a_log_gives_what_it_gives_with_one(rate_hz):
+    rng = np.random.default_rng(23)
+    time_s, accel_g = log_of(directions(rng, 24), rng, rate_hz=rate_hz, matrix=MATRIX, noise_g=2e-3)
+    known = gravity_document(calibrate_by_gravity(accel_g, time_s=time_s))
+    unknown = gravity_document(calibrate_by_gravity(accel_g))
+    assert known["n_poses"] == unknown["n_poses"] == 24
+    for key, std_key in (("bias_g", "bias_std_g"), ("scale", "scale_std")):
+        apart = np.subtract(known["final"][key], unknown["final"][key])
+        assert (np.abs(apart) < 2.0 * np.array(known["final"][std_key])).all()
+    assert any("rate is not known" in warning for warning in unknown["warnings"])
+
+
+def test_a_rate_wins_over_the_time_and_a_disagreement_is_said():
+    rng = np.random.default_rng(24)
+    time_s, accel_g = log_of(directions(rng, 20), rng)
+    given = calibrate_by_gravity(accel_g, time_s=time_s / 1000.0, rate_hz=100.0)
+    assert len(given.poses) == 20
+    assert "100 Hz" in given.warnings[0]
+    assert "100000 Hz" in given.warnings[0]
+    assert not calibrate_by_gravity(accel_g, time_s=time_s, rate_hz=100.5).warnings
+    with pytest.raises(GravityError, match="above 0"):
+        calibrate_by_gravity(accel_g, rate_hz=0.0)
+
+
+@pytest.mark.parametrize("kind", ["one row", "some rows", "log"])
+def test_the_standard_errors_hold(kind):
+    """Truth is within two standard errors of bias and gain in 92 to 98 of 100 cases."""
+    inside = []
+    for seed in range(20 if kind == "log" else 80):
+        rng = np.random.default_rng(seed)
+        true_g = directions(rng, 40)
+        if kind == "log":
+            accel_g = log_of(true_g, rng, rate_hz=20, matrix=MATRIX)[1]
+        else:
+            accel_g = written(true_g, rng, rows=1 if kind == "one row" else (3, 11), noise_g=2e-3)
+        poses = static_poses(accel_g)
+        fitted = fit_gravity(Problem.of(poses), [EFFECTS[0]])
+        inside += [np.abs(fitted.bias_g - BIAS_G) < 2.0 * fitted.bias_std_g]
+        inside += [np.abs(fitted.gain - SCALE) < 2.0 * fitted.gain_std]
+        values, stds = fitted.parameters(EFFECTS[0], poses)
+        inside += [np.abs(values - 1e3 * MATRIX[[0, 0, 1], [1, 2, 2]]) < 2.0 * stds]
+    assert 0.92 <= np.mean(inside) <= 0.98
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda a: a * [0.667, 1.0, 1.0], r"gain of accel_x would be 0\.6"),
+        (lambda a: a + np.array([0.0, 0.7, 0.0]), r"bias of accel_y would be \+0\.6"),
+        (lambda a: a * (1.0 + 0.05 * np.resize([1.0, -1.0], len(a)))[:, None], r"leave 49\.\d mg"),
+        (lambda a: a * 9.80665, "look like m/s²"),
+        (lambda a: np.tile(a[0], (160, 1)), "one static pose"),
+        (lambda a: a[0] + 1e-3 * a, "one static pose"),
+        (
+            lambda a: a * [1.0, 1.0, 0.0] / np.linalg.norm(a[:, :2], axis=1)[:, None],
+            "do not determine bias z",
+        ),
+        (lambda a: np.where(np.arange(len(a))[:, None] % 4 == 0, 1.3 * a, a), "contradict"),
+        (lambda a: a[:8], "few"),
+    ],
+)
+def test_a_table_that_cannot_be_right_is_refused(change, says):
+    rng = np.random.default_rng(25)
+    with pytest.raises(GravityError, match=says):
+        calibrate_by_gravity(change(written(directions(rng, 160), rng)))
+
+
+def test_any_table_gives_a_result_or_a_reason():
+    """200 tables of few or many rows, repeats, constants, unknown cells and wrong rates."""
+    results = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        n, kind = int(np.exp(rng.uniform(np.log(3), np.log(60)))), seed % 8
+        accel_g = written(directions(rng, n), rng, rows=int(rng.choice([1, 1, 2, 7])))[:n]
+        if kind == 1:
+            accel_g = np.round(accel_g, int(rng.integers(0, 3)))
+        elif kind == 2:
+            accel_g[:, rng.integers(0, 3)] = rng.choice([0.0, 1.0])
+        elif kind == 3:
+            accel_g[rng.random(accel_g.shape) < 0.1] = np.nan
+        elif kind == 4:
+            accel_g = np.cumsum(accel_g, axis=0) / np.sqrt(n)
+        elif kind == 5:
+            accel_g[:] = accel_g[0]
+        elif kind == 6:
+            accel_g[rng.integers(0, n)] = 0.0
+        time_s = [None, np.zeros(n), np.arange(n) * 0.01, np.arange(n) * 30.0][rng.integers(0, 4)]
+        temperature_c = None if seed % 3 else np.full(n, 20.0) + rng.choice([0.0, 1.0]) * np.arange(n)
+        try:
+            found = calibrate_by_gravity(
+                accel_g, time_s=time_s, rate_hz=[None, 1.0, 1e4][seed % 3], temperature_c=temperature_c
+            )
+        except GravityError as error:
+            assert str(error)
+        else:
+            json.dumps(gravity_document(found), allow_nan=False)
+            assert (np.abs(found.final.gain - SCALE) < 6.0 * found.final.gain_std + 0.02).all()
+            results += 1
+    assert results >= 20
+
+
 def test_nothing_is_claimed_of_units_that_lack_nothing():
     """400 units at a nominal 1 %: no more than such a rate gives in 999 of 1000 cases."""
     claimed = 0
@@ -239,13 +395,20 @@ def test_too_few_poses_and_poses_about_one_axis_are_told_what_is_missing():
         ("xsens", 38, (3.44, 3.98), (0.15, 0.2)),
     ],
 )
-def test_measured_logs_are_traced_to_misalignment(name, n_poses, before_mg, after_mg):
+@pytest.mark.parametrize("given", ["time", "rate", "nothing", "one row a position"])
+def test_measured_logs_are_traced_to_misalignment(name, n_poses, before_mg, after_mg, given):
     file = DATA / f"{name}_multiposition.csv"
     if not file.is_file():
         pytest.skip(f"{file} is not here: set CALRIG_DATA to the folder of measured data")
     log = read_static(file.read_bytes())
 
-    gravity = calibrate_by_gravity(accel_g_of(log), time_s=log.time_s, gyro_dps=log.axes("gyro", "dps"))
+    accel_g = accel_g_of(log)
+    if given == "time":
+        gravity = calibrate_by_gravity(accel_g, time_s=log.time_s, gyro_dps=log.axes("gyro", "dps"))
+    elif given == "one row a position":
+        gravity = calibrate_by_gravity(static_poses(accel_g, time_s=log.time_s).accel_g)
+    else:
+        gravity = calibrate_by_gravity(accel_g, rate_hz=100.0 if given == "rate" else None)
     document = gravity_document(gravity)
 
     assert document["n_poses"] == n_poses

@@ -91,6 +91,21 @@ def test_gravity_finds_that_the_axes_are_not_square(folder):
     assert f"{found['final']['held_out_rms_mg']:.2f} mg" in shown
 
 
+def test_gravity_reads_one_row_a_position_names_a_bad_line_and_takes_a_rate(folder):
+    rng = np.random.default_rng(5)
+    rows_g = rng.normal(size=(60, 3))
+    rows_g /= np.linalg.norm(rows_g, axis=1, keepdims=True)
+    rows_g[40] *= 1.2
+    np.savetxt("rows.csv", rows_g + rng.normal(0.0, 0.001, (60, 3)), delimiter=",", fmt="%.5f")
+    table = "accel_x_g,accel_y_g,accel_z_g\n" + (folder / "rows.csv").read_text()
+    (folder / "rows.csv").write_text(table)
+    found = json.loads(calrig("gravity", "rows.csv", "--json", "--rate", "100").stdout)
+    assert found["n_poses"] == 59
+    assert any(re.match("line 42: .* left out", warning) for warning in found["warnings"])
+    assert "line 42: " in calrig("gravity", "rows.csv").stdout
+    assert "above 0" in reason("gravity", "rows.csv", "--rate", "0", status=2)
+
+
 @pytest.mark.parametrize(
     ("command", "content", "words"),
     [

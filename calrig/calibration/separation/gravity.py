@@ -50,6 +50,8 @@ SEED = 0
 NEAR_1_G = (0.75, 1.25)
 POSSIBLE_GAIN = (0.75, 1.25)
 LARGEST_BIAS_G = 0.5
+LARGEST_GAIN_STD = 0.05
+LARGEST_BIAS_STD_G = 0.05
 LARGEST_RESIDUAL_G = 0.02
 """What bias, gain and misalignment leave of a sensor at rest is less, but for its noise."""
 NOISE_FACTOR = 3.0
@@ -414,11 +416,17 @@ def _refuse_the_impossible(fitted: GravityFit, poses: StaticPoses) -> None:
     advice = (
         "check the unit of each column and the rate (--rate), and keep the sensor at rest in every position"
     )
-    for axis, gain, std, bias_g in zip(AXES, fitted.gain, fitted.gain_std, fitted.bias_g, strict=True):
+    known = zip(AXES, fitted.gain, fitted.gain_std, fitted.bias_g, fitted.bias_std_g, strict=True)
+    for axis, gain, gain_std, bias_g, bias_std_g in known:
+        if gain_std > LARGEST_GAIN_STD or bias_std_g > LARGEST_BIAS_STD_G:
+            raise GravityError(
+                f"{len(poses)} poses leave the gain of accel_{axis} uncertain by ±{gain_std:.2g}, its bias "
+                f"by ±{bias_std_g:.2g} g: take more poses, at rest, on every side and on edges"
+            )
         if not POSSIBLE_GAIN[0] <= gain <= POSSIBLE_GAIN[1]:
             raise GravityError(
-                f"the gain of accel_{axis} would be {gain:.3f} ± {std:.2g}, which no accelerometer in g has "
-                f"({POSSIBLE_GAIN[0]:g} to {POSSIBLE_GAIN[1]:g}): {advice}"
+                f"the gain of accel_{axis} would be {gain:.3f} ± {gain_std:.2g}, which no accelerometer in g "
+                f"has ({POSSIBLE_GAIN[0]:g} to {POSSIBLE_GAIN[1]:g}): {advice}"
             )
         if abs(bias_g) > LARGEST_BIAS_G:
             raise GravityError(
