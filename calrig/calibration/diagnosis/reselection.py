@@ -230,6 +230,8 @@ def _against_rivals(
     if one.candidate.shape.series and not curves:  # a curve takes a little from every order of a turn
         rivals = [c for c in rivals if c.named]
     model = fitted_model(r, others)
+    if not rivals:
+        return found
     ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)
     if not thorough and _leads_far(r, rivals, ratios, one.candidate):
         again = replace(one, candidate=at_best_place(r, others, one.candidate))
