@@ -60,3 +60,29 @@ def eleven_turns() -> list[Pose]:
         Pose(target_deg=theta, reading_deg=theta + error, time_s=3.0 * k)
         for k, (theta, error) in enumerate(zip(theta_deg.tolist(), errors_deg.tolist(), strict=True))
     ]
+
+
+LATE_S, SPEED_DPS = 0.035, 36.0
+ORDERS_DEG = {1: 0.9, 2: 8.0, 4: 1.5, 8: 0.5, 12: 0.25, 16: 0.1, 50: 0.3}
+"""Amplitudes by order of the turn; order 50 is the electrical period of a 200-step motor, 7.2°."""
+
+
+def measured_axis() -> list[Pose]:
+    """485 poses of an axis as real ones are: eleven turns at constant speed, reversed once, read late.
+
+    Half of the noise of 0.1° is a first-order autoregression from pose to pose.
+    """
+    rng = np.random.default_rng(7)
+    there = np.linspace(0.0, 1980.0, 243)
+    theta_deg = np.concatenate([there, there[-2::-1]]) + rng.normal(0.0, 0.3, 485)
+    sense = np.where(np.arange(485) < 243, 1.0, -1.0)
+    time_s = np.abs(np.diff(theta_deg, prepend=theta_deg[0])).cumsum() / SPEED_DPS
+    late_deg = theta_deg - sense * SPEED_DPS * LATE_S
+    slow_deg = np.zeros(485)
+    for k in range(1, 485):
+        slow_deg[k] = 0.5 * slow_deg[k - 1] + rng.normal(0.0, 0.05)
+    reading_deg = 1.2 + 1.001 * late_deg + slow_deg + rng.normal(0.0, 0.07, 485)
+    for order, amplitude_deg in ORDERS_DEG.items():
+        reading_deg += amplitude_deg * np.sin(np.radians(order * late_deg) + order)
+    rows = zip(theta_deg.tolist(), reading_deg.tolist(), time_s.tolist(), strict=True)
+    return [Pose(target_deg=theta, stage_deg=theta, reading_deg=r, time_s=t) for theta, r, t in rows]

@@ -2,8 +2,9 @@
 
 Aims: 100 poses named with 999 bootstraps 0.6 s, with cross-fitting 3 s, 400 poses named 4 s. Of several
 effects, cross-fitted: the demo rig's 52 poses 1.0 s, 100 poses with three 1.5 s, 500 poses over eleven turns
-with every period down to twice their spacing 6 s, in 250 MB. Beside them in `extra_info` the memory, and how
-many times as long it takes as a forward search by BIC, which sees the reading alone and judges no name.
+with every period down to twice their spacing 6 s, 485 poses of an axis with seven orders and a latency 8 s;
+all in 250 MB. Beside them in `extra_info` the memory, and how many times as long it takes as a forward search
+by BIC, which sees the reading alone and judges no name.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import time
 from collections.abc import Callable
 
 import pytest
-from diagnosed_runs import demo_run, eleven_turns, three_effects
+from diagnosed_runs import demo_run, eleven_turns, measured_axis, three_effects
 from studies.blind.peers import forward_bic, library
 
 from calrig.calibration.diagnosis.tracing import diagnose
@@ -85,6 +86,12 @@ def test_a_diagnosis(benchmark, sweeps, cross_fit):
         ),
         pytest.param(
             eleven_turns, {"stage_eccentricity", "stage_periodic"}, False, id="500 poses, eleven turns"
+        ),
+        pytest.param(
+            measured_axis,
+            {"latency", "stage_eccentricity", "stage_periodic"},
+            False,
+            id="485 poses of an axis as real ones are",
         ),
     ],
 )

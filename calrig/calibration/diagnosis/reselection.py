@@ -168,10 +168,12 @@ def reselected(
     *,
     fresh: SelectedEffect | None = None,
     curves: bool = False,
+    thorough: bool = True,
 ) -> list[SelectedEffect]:
     """Compare each effect with its competitors again, with all others in the model, until nothing changes.
 
     An effect may bring a companion, but none that was scanned for at many instants: it would enter untested.
+    Without `thorough` an effect that leads far on the screen only moves to its best place.
 
     Args:
         r: the responses.
@@ -181,6 +183,7 @@ def reselected(
         rivals: competing candidates, where they are known; else all candidates compete.
         fresh: an effect that was just compared with the same others in the model.
         curves: whether curves may replace the orders of a turn.
+        thorough: whether rivals, leads and places that look alike are wanted of every effect.
     """
     if len(found) == known + 1:
         return found
@@ -192,7 +195,7 @@ def reselected(
             if held.get(one) == others:
                 continue
             near = near_among(candidates, one, rivals)
-            found = _against_rivals(r, near, found, one, in_fold=rivals is not None, curves=curves)
+            found = _against_rivals(r, near, found, one, thorough=thorough, curves=curves)
             held.update({f: others for f in found if _places(_others(found, f)) == others})
         if [f.candidate.label for f in found] == before:
             break
@@ -219,14 +222,10 @@ def _against_rivals(
     found: list[SelectedEffect],
     one: SelectedEffect,
     *,
-    in_fold: bool,
+    thorough: bool,
     curves: bool,
 ) -> list[SelectedEffect]:
-    """Replace an effect by the best of its competitors, with all others in the model.
-
-    In a fold, which is asked for its model alone, an effect that leads far on the screen only moves to its
-    best place.
-    """
+    """Replace an effect by the best of its competitors, with all others in the model."""
     others = _others(found, one)
     model = fitted_model(r, others)
     rivals = [
@@ -236,8 +235,10 @@ def _against_rivals(
     ]
     if one.candidate.shape.series and not curves:  # a curve takes a little from every order of a turn
         rivals = [c for c in rivals if c.named]
+    if not rivals:
+        return found
     ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)
-    if in_fold and _leads_far(r, rivals, ratios, one.candidate):
+    if not thorough and _leads_far(r, rivals, ratios, one.candidate):
         again = replace(one, candidate=at_best_place(r, others, one.candidate))
     else:
         again = named(r, others, rivals, ratios, one.p_value, one.candidate)

@@ -274,13 +274,15 @@ def _search(
     In each round the model is fitted and all candidates are tested. An outlier is left out; else the best
     significant candidate enters and all effects are reselected; inadmissible or needless ones leave. The
     search ends where nothing enters, and where a round ends as an earlier one did: of effects that replace
-    each other in turn, the same would come for ever.
+    each other in turn, the same would come for ever. Outside a fold, all effects are compared thoroughly
+    before it ends.
     """
     found = list(known)
     refused: set[str] = set()
     kept, fewest = np.arange(len(r)), len(r) - most_outliers(len(r))
     drawn: dict[ModelKey, NullGains] = {}
     met: set[object] = set()
+    is_compared = False  # every effect thoroughly with its competitors, as all others are now
 
     def judged(model: Model) -> Verdict:
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
@@ -296,6 +298,9 @@ def _search(
 
     while True:
         accepted = [f.candidate for f in found]
+        state = len(kept), frozenset(refused), frozenset(_place_of(c) for c in accepted)
+        if state in met:
+            break
         model = fitted_model(r, accepted)
         verdict = judged(model)
         apart = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
@@ -304,33 +309,50 @@ def _search(
             kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
-        steps: list[SelectedEffect] = []
-        state = len(kept), frozenset(refused), frozenset(_place_of(c) for c in accepted)
-        if state in met:
-            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, drawn)
         met.add(state)
-        if verdict.passes and not _is_full(accepted, len(known)):
-            best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
-            if best.considered and is_practically_significant(r, accepted, best):
-                best = simplest(r, accepted, best, verdict)
-                steps = forward_step(r, accepted, best, verdict, judged, rivals)
-            elif best.considered and companions_of([best.candidate]):
-                steps = tested_pair(r, model, best, judged)
-            if not steps:
-                refused.add(best.candidate.label)
+        steps: list[SelectedEffect] = []
+        if not _is_full(accepted, len(known)):
+            steps, no_worth = _entering(r, model, accepted, verdict, judged, rivals)
+            if no_worth is not None:
+                refused.add(no_worth)
                 continue
-        elif not _is_full(accepted, len(known)):
-            steps = masked_pair(r, model, verdict, judged)
         if not steps:
-            return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, drawn)
+            if rivals is not None or is_compared:
+                break
+            found, is_compared = reselected(r, candidates, found, len(known)), True
+            continue
+        is_compared = False
         fresh = steps[0] if rivals is not None and len(steps) == 1 else None
-        entered = reselected(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh)
+        entered = reselected(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh, thorough=False)
         entered = with_known_places(r, candidates, entered)
         if found and not is_admissible(r, [f.candidate for f in entered]):
             refused.add(steps[0].candidate.label)
             continue
         found, dropped = eliminated(r, entered, len(known))
         refused.update(dropped)
+    model = fitted_model(r, [f.candidate for f in found])
+    return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, drawn)
+
+
+def _entering(
+    r: Responses,
+    model: Model,
+    accepted: Sequence[Candidate],
+    verdict: Verdict,
+    judged: Callable[[Model], Verdict],
+    rivals: Rivals | None,
+) -> tuple[list[SelectedEffect], str | None]:
+    """Return the effects that enter, or none and the label of one that is significant but of no worth."""
+    if not verdict.passes:
+        return masked_pair(r, model, verdict, judged), None
+    steps: list[SelectedEffect] = []
+    best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+    if best.considered and is_practically_significant(r, accepted, best):
+        best = simplest(r, accepted, best, verdict)
+        steps = forward_step(r, accepted, best, verdict, judged, rivals)
+    elif best.considered and companions_of([best.candidate]):
+        steps = tested_pair(r, model, best, judged)
+    return steps, None if steps else best.candidate.label
 
 
 def _place_of(candidate: Candidate) -> object:

@@ -84,6 +84,8 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
     if "part" not in shape.at:
         return None
     first = int(np.searchsorted(r.time_s, shape.at["at_s"])) if r.time_s is not None else 0
+    if first == len(r):
+        return None  # in a dwell of a run whose clock these poses do not have
     here = {**shape.at, "pose": float(first)}
 
     def best(parts: FloatArray) -> Shape:

@@ -27,7 +27,8 @@ from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import THE_TURN, amplitude_and_phase, c_wave, wave_deg
 from calrig.estimation.angles import FloatArray
 
-BIN_DEG = 0.05
+BIN_DEG, MOST_BINS = 0.05, 2**18
+"""Beyond 36 turns the bins are wider: angles in another unit would take any memory."""
 FINER = 4
 """Frequencies to a resolution 1/arc: enough not to miss a peak."""
 
@@ -42,7 +43,7 @@ def _of_angles(angles: bytes, highest: float) -> tuple[FloatArray, FloatArray]:
     """Return a search asks for the window of the same angles again and again."""
     theta_deg = np.frombuffer(angles)
     first = theta_deg.min()
-    bin_deg = min(BIN_DEG, 1.0 / (8.0 * highest))
+    bin_deg = max(min(BIN_DEG, 1.0 / (8.0 * highest)), float(theta_deg.max() - first) / MOST_BINS)
     counts = np.bincount(np.round((theta_deg - first) / bin_deg).astype(int)).astype(float)
     length = 1 << int(FINER * len(counts) - 1).bit_length()
     window = np.fft.rfft(counts, length)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,81 @@ def effect_deg(rng: np.random.Generator, theta_deg: np.ndarray, when_s: np.ndarr
     return 0.0 * theta_deg
 
 
+VARIED = 10_000
+"""Tables from this number on vary in more: those before it keep what they were when some failed."""
+ODD_NAMES = ("humidity [%]", "Größe", "a" * 80, "__class__", "time", "1e5", "x y", "azimuth_deg", "mount_deg")
+"""Of columns of one's own: of circles and mounts too, and such as attributes have."""
+
+
+def varied(seed: int, runs: list[list[Pose]]) -> list[list[Pose]]:
+    """Return a table with more of what people have.
+
+    Columns under odd names, several effects at once, clocks that stand or go back, constant columns, values
+    of any size, a constant target, and several runs, some of other lengths, mounts and units.
+    """
+    rng = np.random.default_rng([seed, 1])
+    poses = [pose for run in runs for pose in run]
+    count = len(poses)
+    theta = np.array([pose.target_deg for pose in poses])
+    spare = 10.0 ** rng.uniform(-2.0, 1.0, 3)
+    more = np.zeros(count)
+    if rng.random() < 0.4:
+        order = rng.choice([1.0, 2.0, 4.0, 12.0, 50.0, rng.uniform(0.5, 200.0)])
+        more += spare[0] * np.sin(np.radians(theta * order) + rng.uniform(0.0, 6.0))
+    if rng.random() < 0.3:
+        velocity_dps = np.gradient(theta) / CLOCK_S if count > 1 else 0.0 * theta
+        more -= 0.1 * spare[1] * velocity_dps  # a reading that comes late
+    if rng.random() < 0.2:
+        more[rng.integers(count)] += 100.0 * spare[2]
+    scale = 10.0 ** rng.integers(-6, 7) if rng.random() < 0.1 else 1.0
+    own: dict[str, np.ndarray] = {}
+    for name in rng.choice(ODD_NAMES, size=rng.integers(0, 4), replace=False).tolist():
+        kind = rng.integers(6)
+        if name == "mount_deg":
+            own[name] = np.array([0.0, 90.0, 180.0])[
+                rng.integers(0, 3, count) if kind else np.zeros(count, int)
+            ]
+        elif kind == 0:
+            own[name] = np.full(count, rng.choice([0.0, 1e9, -1e-9]))
+        elif kind == 1:
+            own[name] = theta.copy()
+        elif kind == 2:
+            own[name] = (np.arange(count) % 2).astype(float)
+        elif kind == 3:
+            own[name] = rng.uniform(0.0, 360.0, count)
+        else:
+            own[name] = rng.standard_normal(count) * 10.0 ** rng.integers(-12, 13)
+        if rng.random() < 0.2:
+            more += spare[2] * np.nan_to_num(own[name] / (np.abs(own[name]).max() or 1.0))
+    clock, constant = rng.integers(8), rng.random() < 0.1
+    changed = []
+    for k, pose in enumerate(poses):
+        time_s = pose.time_s
+        if time_s is not None and clock < 4:
+            time_s = (0.0, time_s % 20.0, -time_s, 1.7e9 + time_s)[clock]
+        new = replace(
+            pose,
+            target_deg=float(theta[0]) if constant else pose.target_deg * scale,
+            reading_deg=(pose.reading_deg + float(more[k])) * scale,
+            time_s=time_s,
+            covariates={**pose.covariates, **{name: float(values[k]) for name, values in own.items()}},
+        )
+        if rng.random() < 0.02:
+            new = replace(new, accel_y_g=new.accel_y_g and 0.0, accel_z_g=new.accel_z_g and 0.0)
+        changed.append(new)
+    if count < 6 or rng.random() < 0.7:
+        return [changed]
+    cuts = np.sort(rng.choice(np.arange(1, count), size=min(count - 1, rng.integers(1, 6)), replace=False))
+    return [list(part) for part in np.split(np.array(changed, dtype=object), cuts)]
+
+
 def table(seed: int) -> list[list[Pose]]:
+    """Return the poses of one or several runs."""
+    runs = _plain(seed)
+    return runs if seed < VARIED else varied(seed, runs)
+
+
+def _plain(seed: int) -> list[list[Pose]]:
     """Return the poses of one or two runs."""
     rng = np.random.default_rng(seed)
     count = COUNTS[rng.integers(OFTEN if rng.random() < 0.9 else len(COUNTS))]
