@@ -319,7 +319,10 @@ def _search(
         if not steps:
             if rivals is not None or is_compared:
                 break
-            found, is_compared = reselected(r, candidates, found, len(known)), True
+            again, is_compared = reselected(r, candidates, found, len(known)), True
+            if again and is_admissible(r, [f.candidate for f in again]):
+                found, dropped = eliminated(r, again, len(known))
+                refused.update(dropped)
             continue
         is_compared = False
         fresh = steps[0] if rivals is not None and len(steps) == 1 else None
