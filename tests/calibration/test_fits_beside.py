@@ -21,8 +21,9 @@ def test_fits_beside_a_model_are_those_of_one_after_the_other() -> None:
     """
     r = responses_of([CELLS["backlash and periodic"].run(1).poses])
     candidates = candidates_of(r)
-    some = [*candidates[::40], next(c for c in candidates if c.shape.replaces)]
-    assert {c.columns.shape[2] for c in some} >= {1, 2, 5}
+    of_each_width = {c.columns.shape[2]: c for c in candidates}
+    some = [*candidates[::40], *of_each_width.values(), next(c for c in candidates if c.shape.replaces)]
+    assert of_each_width.keys() >= {1, 2, 5}
 
     together = fit_candidates(r, lambda more: model_columns(r, more), some)
 
