@@ -363,7 +363,7 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
         if comment.line != header.line:
             report.count(COMMENTS, f"line {comment.line}")
     columns = columns_of(texts, units, known, required, header.line)
-    _find_clocks(columns, data[begin : begin + EXAMINED_BYTES // 10], dialect, known)
+    _read_by_cells(columns, data[begin : begin + EXAMINED_BYTES // 10], dialect, known, required)
     refuse_bad_names(columns, header.line)
     with report:
         for fault in missing_columns(columns, required, header.line):
@@ -442,26 +442,44 @@ def _is_of_units(row: _Row, dialect: Dialect, width: int) -> bool:
     )
 
 
-def _find_clocks(columns: list[Column], rows: bytes, dialect: Dialect, known: Collection[str]) -> None:
-    """Mark the columns whose first cells are times of day; one of time without its unit becomes `time_s`."""
+def _read_by_cells(
+    columns: list[Column], rows: bytes, dialect: Dialect, known: Collection[str], required: Sequence[str]
+) -> None:
+    """Decide what first cells tell of columns.
+
+    Those of times of day are clocks, and one of time without its unit becomes `time_s`. A name that is nearly
+    a known one, over words such as `OK`, is another thing.
+    """
     named = {column.name for column in columns}
     unnamed = [c for c in columns if not c.is_known and clock_name(c.text, known)]
     if "time_s" in named or len(unnamed) > 1:
         unnamed = []
-    for column in [*(c for c in columns if c.is_known and c.name in CLOCK_NAMES), *unnamed]:
-        place = next(k for k, one in enumerate(columns) if one is column)
-        reader = csv.reader(
-            io.StringIO(rows.decode(errors="replace"), newline=""), delimiter=dialect.separator
-        )
-        try:
-            cells = [row[place].strip() for row in itertools.islice(reader, 100) if len(row) > place]
-        except csv.Error:  # it is told where rows are read
+    for place, column in enumerate(columns):
+        is_other = column.is_known and column.text != column.name and column.name not in required
+        is_clock = (column.is_known and column.name in CLOCK_NAMES) or any(c is column for c in unnamed)
+        if not is_clock and (not is_other or column.is_text):
             continue
-        first = next((cell for cell in cells if cell.lower() not in _UNKNOWN), "")
-        if _time_of(first) is not None:
+        cells = [cell for cell in _first_cells(rows, place, dialect) if cell.lower() not in _UNKNOWN]
+        if is_clock and cells and _time_of(cells[0]) is not None:
             column.name = column.name if column.is_known else "time_s"
             column.is_known = column.is_clock = True
             column.factor, column.offset = 1.0, 0.0
+        elif is_other and cells and not any(map(_HAS_DIGIT.search, cells)):
+            column.name, column.is_known = column.text, False
+            column.factor, column.offset = 1.0, 0.0
+
+
+_HAS_DIGIT = re.compile("[0-9]")
+
+
+def _first_cells(rows: bytes, place: int, dialect: Dialect) -> list[str]:
+    """The first hundred cells of a column, as far as they are CSV; what is not is told later."""
+    text = io.StringIO(rows.decode(errors="replace"), newline="")
+    reader = csv.reader(text, delimiter=dialect.separator)
+    try:
+        return [row[place].strip() for row in itertools.islice(reader, 100) if len(row) > place]
+    except csv.Error:
+        return []
 
 
 COMMENTS = "comment lines are left out"

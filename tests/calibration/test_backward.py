@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, candidate_of
+from calrig.calibration.diagnosis.ranking import SelectedEffect
 from calrig.calibration.diagnosis.reselection import eliminated, is_admissible
 from calrig.calibration.effects import effect_of
 from calrig.calibration.regression.responses import Responses, responses_of

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
 from calrig.calibration.diagnosis.held_out import blocked, not_predictive
+from calrig.calibration.diagnosis.ranking import SelectedEffect
 from calrig.calibration.line import rms
 from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import Responses, responses_of

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
 from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of
 from calrig.calibration.diagnosis.established import established
 from calrig.calibration.diagnosis.held_out import CrossValidation, without_harm
+from calrig.calibration.diagnosis.ranking import SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.effects import effect_of

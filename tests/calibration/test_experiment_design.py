@@ -7,9 +7,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
 from calrig.calibration.diagnosis.candidates import candidates_of, model_columns
 from calrig.calibration.diagnosis.experiment_design import LEAST_SEPARATION, FollowUp, design
+from calrig.calibration.diagnosis.ranking import SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.noise_model import fit

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from posed import posed
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
 from calrig.calibration.diagnosis.candidates import candidates_of
 from calrig.calibration.diagnosis.held_out import standing_without_one
+from calrig.calibration.diagnosis.ranking import SelectedEffect
 from calrig.calibration.regression.responses import Responses, responses_of
 
 NOISE_DEG = 0.01

@@ -313,3 +313,10 @@ def test_only_comments_are_left_out(text, n_poses):
 def test_a_log_names_the_nearest_channel_where_it_has_none():
     with pytest.raises(CsvError, match=r"acel_y_g \(did you mean accel_y_g\?\)"):
         read_static(b"acel_x_g,acel_y_g\n1,2\n")
+
+
+def test_a_name_like_a_known_one_over_words_is_a_column_of_words():
+    poses, _, _ = read_run(b"target_deg,reading_deg,Pass\n0,0.1,OK\n1,1.2,FAIL\n", "A")
+    assert poses.cells("pass") is None
+    with pytest.raises(CsvError, match="line 2, column pass"):
+        read_run(b"target_deg,reading_deg,pass\n0,0.1,OK\n1,1.2,FAIL\n", "A")

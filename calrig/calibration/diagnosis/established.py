@@ -3,7 +3,8 @@
 A search tests whether something is there. It does not test whether each effect of the final model has a size:
 two terms that entered one after the other may cancel each other. Each effect is judged by a Wald test of all
 its coefficients together (Seber & Wild, Nonlinear Regression, 1989, section 5.3), so of amplitude and phase
-of a wave at once.
+of a wave at once. And a document states sizes: of an effect at least one of them reaches two of its
+standard errors.
 """
 
 from __future__ import annotations
@@ -13,16 +14,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, own_columns
+from calrig.calibration.diagnosis.ranking import SelectedEffect
 from calrig.calibration.diagnosis.report import covariance_with_places
 from calrig.calibration.diagnosis.reselection import penalised_criterion
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.regression.responses import Responses
+from calrig.estimation.angles import FloatArray
 
 TWO_STANDARD_ERRORS = 0.0455
 """Chance that noise alone gives a coefficient of two standard errors or more."""
+NO_SIZES = ("phase_deg", "at")
+"""What a document states of an effect that says where it is, and not how large."""
 CLEAR = 4.0
 """Standard errors from which on the refits of noise that widen them need not be drawn."""
 
@@ -87,23 +91,40 @@ def _candidates(found: Sequence[SelectedEffect]) -> list[Candidate]:
 
 
 def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> list[float]:
-    """Return each effect's chance of coefficients as large in noise alone, the other effects present."""
+    """Return each effect's chance of coefficients as large in noise alone, the other effects present.
+
+    It is 1 where no size that a document would state reaches two standard errors.
+    """
     from scipy.special import fdtrc
 
     candidates = _candidates(found)
     model = fitted_model(r, candidates)
     own = own_columns(model.columns, candidates)
     freedom = max(1, len(r) - int(np.any(model.columns[:, 0, :] != 0.0, axis=0).sum()))
+    beta = model.fitted.beta
 
-    def wald(*, widened: bool) -> list[float]:
-        covariance = covariance_with_places(model, own, widened=widened)
-        beta = model.fitted.beta
-        return [float(beta[at] @ np.linalg.pinv(covariance[at, at], hermitian=True) @ beta[at]) for at in own]
+    def wald(covariance: FloatArray) -> list[float]:
+        """Return each squared distance from 0, per coefficient."""
+        return [
+            float(beta[at] @ np.linalg.pinv(covariance[at, at], hermitian=True) @ beta[at])
+            / (at.stop - at.start)
+            for at in own
+        ]
 
-    distances = wald(widened=False)
-    if draws and min(d / (at.stop - at.start) for d, at in zip(distances, own, strict=True)) < CLEAR**2:
-        distances = wald(widened=True)
+    covariance = covariance_with_places(model, own, widened=False)
+    if draws and min(wald(covariance)) < CLEAR**2:
+        covariance = covariance_with_places(model, own)
     return [
-        float(fdtrc(at.stop - at.start, freedom, distance / (at.stop - at.start)))
-        for distance, at in zip(distances, own, strict=True)
+        float(fdtrc(at.stop - at.start, freedom, distance))
+        if _has_size(candidate, beta[at], covariance[at, at])
+        else 1.0
+        for candidate, at, distance in zip(candidates, own, wald(covariance), strict=True)
     ]
+
+
+def _has_size(candidate: Candidate, beta: FloatArray, covariance: FloatArray) -> bool:
+    """Return whether one of the sizes that a document states reaches two standard errors."""
+    stated = candidate.effect.reported(candidate.shape, beta, covariance)
+    sizes = [size for name, size in stated.items() if size is not None and name not in NO_SIZES]
+    known = [(size["value"], size["std"]) for size in sizes]
+    return any(v is not None and std is not None and abs(v) >= 2.0 * std for v, std in known)

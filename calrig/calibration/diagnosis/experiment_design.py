@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import SAME, SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, rebuilt
+from calrig.calibration.diagnosis.ranking import SAME, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.effects import EFFECTS, covariate_of
 from calrig.calibration.poses import Pose

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import COMPANION_MARGIN, MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.candidates import Candidate, companions_of, model_columns
+from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import Rivals, is_on_trial, penalised_criterion
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.diagnosis.significance_test import Verdict

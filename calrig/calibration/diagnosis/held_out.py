@@ -17,10 +17,10 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, rebuilt
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
+from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about

@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import FAR_BEHIND, MARGIN, SelectedEffect, slope
+from calrig.calibration.diagnosis.candidate_fits import slope
 from calrig.calibration.diagnosis.candidates import Candidate, documented_forms, own_columns, rebuilt
+from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings, most_outliers, outlier
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of

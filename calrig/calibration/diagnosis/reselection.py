@@ -14,8 +14,8 @@ from itertools import permutations
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import MARGIN, SelectedEffect, at_best_place, named
 from calrig.calibration.diagnosis.candidates import Candidate, at_its_elevations, harmonics_of, own_columns
+from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect, at_best_place, named
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.regression.channels import READING

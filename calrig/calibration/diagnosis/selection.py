@@ -20,7 +20,6 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.diagnosis.candidate_fits import SelectedEffect, named
 from calrig.calibration.diagnosis.candidates import Candidate, companions_of, goes_round, model_columns
 from calrig.calibration.diagnosis.forward_selection import (
     forward_step,
@@ -30,6 +29,7 @@ from calrig.calibration.diagnosis.forward_selection import (
     tested_pair,
 )
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
+from calrig.calibration.diagnosis.ranking import SelectedEffect, named
 from calrig.calibration.diagnosis.reselection import (
     Rivals,
     eliminated,
@@ -319,10 +319,7 @@ def _search(
         if not steps:
             if rivals is not None or is_compared:
                 break
-            again, is_compared = reselected(r, candidates, found, len(known)), True
-            if again and is_admissible(r, [f.candidate for f in again]):
-                found, dropped = eliminated(r, again, len(known))
-                refused.update(dropped)
+            found, is_compared = _compared(r, candidates, found, len(known)), True
             continue
         is_compared = False
         fresh = steps[0] if rivals is not None and len(steps) == 1 else None
@@ -335,6 +332,15 @@ def _search(
         refused.update(dropped)
     model = fitted_model(r, [f.candidate for f in found])
     return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, drawn)
+
+
+def _compared(
+    r: Responses, candidates: Sequence[Candidate], found: list[SelectedEffect], known: int
+) -> list[SelectedEffect]:
+    """Return the effects, each compared thoroughly; as they were if those cannot be true together."""
+    again = reselected(r, candidates, found, known)
+    is_better = bool(again) and is_admissible(r, [f.candidate for f in again])
+    return eliminated(r, again, known)[0] if is_better else found
 
 
 def _entering(

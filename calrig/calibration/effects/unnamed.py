@@ -17,6 +17,7 @@ import numpy as np
 from calrig.calibration.effects.stage_periodic import spacing_deg, steps_of
 from calrig.calibration.regression.channels import ANGLE, MOVE, READING, BoolArray
 from calrig.calibration.regression.effect import (
+    ELEVATION,
     ApplyError,
     Covariate,
     Documents,
@@ -351,13 +352,13 @@ def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
 
 
 def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
-    found: Documents = {"size_deg": size_deg(shape, beta, covariance), "period": None, "at": None}
+    columns, sized = shape.shares[READING], shape
+    if shape.covariate == ELEVATION.name and shape.form.startswith("smooth"):
+        sized = replace(shape, shares={READING: bent_columns(columns)})  # a straight line is bias and scale
+    found: Documents = {"size_deg": size_deg(sized, beta, covariance), "period": None, "at": None}
     if shape.form == CIRCLE:
         found["at"] = amplitude_and_phase(shape, beta[::-1], covariance[::-1, ::-1])["phase_deg"]
     if len(shape.knots) >= FEWEST_KNOTS:
-        columns = shape.shares[READING]
-        bent = replace(shape, shares={READING: bent_columns(columns)})
-        found["size_deg"] = size_deg(bent, beta, covariance)
         found |= curve_document(np.array(shape.knots), columns, beta, covariance)
     return found
 

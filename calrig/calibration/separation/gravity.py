@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import MARGIN
+from calrig.calibration.diagnosis.ranking import MARGIN
 from calrig.calibration.gravity_fit import (
     EFFECTS,
     FEWEST_POSES,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import MARGIN
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
 from calrig.calibration.diagnosis.held_out import folds_of
+from calrig.calibration.diagnosis.ranking import MARGIN
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.regression.noise_model import NoiseModel, stacked
 from calrig.calibration.regression.responses import Responses

@@ -1,0 +1,316 @@
+"""Rank the candidates of a step: the name claimed, its rivals, and what these poses cannot tell from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calrig.calibration.diagnosis.candidate_fits import (
+    fitted_beside,
+    is_at_bound,
+    is_distinct_from,
+    refined,
+)
+from calrig.calibration.diagnosis.candidates import (
+    Candidate,
+    candidate_at,
+    goes_round,
+)
+from calrig.calibration.diagnosis.screen import Float32Array, Screen
+from calrig.calibration.diagnosis.sensor_model import (
+    fitted_model,
+    is_shift_seen,
+)
+from calrig.calibration.regression.effect import Shape
+from calrig.calibration.regression.responses import Responses
+from calrig.estimation.angles import FloatArray
+
+MARGIN = 6.0
+"""Of the criterion, between a name and the next: held by truth in 94–100 % where the data can decide."""
+FAR_BEHIND = 40.0
+"""So far behind, hardly any single pose brings a rival close; and odds would suggest too much precision."""
+PAIR_MARGIN = 8.0
+"""Of the criterion, by which two effects must beat the best one to enter together, and the second of them
+must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
+"""
+INDISTINCT = 0.5
+"""Of −2 log likelihood: periods that evenly spaced poses cannot tell apart at all, whatever the noise."""
+COMPANION_MARGIN = 3.0
+"""Of the criterion, by which an effect must pay for the one companion that it is declared to have: with the
+penalty a likelihood ratio beyond 7, which one parameter reaches in noise in less than 1 of 100. As a rival of
+one effect alone it pays as much: that two bend each other straight is a coincidence.
+"""
+LEADING_NAMES = 4
+SHORTLIST = 16
+FARTHEST = 1e9
+"""Of the criterion, where what physics rules out ranks."""
+SAME = 1e-3
+"""Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedEffect:
+    """An effect that passed the significance test.
+
+    Attributes:
+        candidate: the form that explains it best.
+        rivals: candidates of other names that these data cannot tell from it.
+        p_value: of the search that found it, as a whole.
+        lead: how much worse the best candidate of another name is, in −2 log likelihood with penalties;
+            negative where a rival explains it better.
+        considered: how far behind the best each label came.
+        runners_up: the best candidate of each other name that came near enough for a pose to matter.
+        doubts: why it is claimed no more than it is, in sentences.
+        alike: the same effect at other places that explain these poses as well, likely or not.
+    """
+
+    candidate: Candidate
+    rivals: tuple[Candidate, ...]
+    p_value: float
+    lead: float
+    considered: tuple[tuple[str, float], ...] = ()
+    runners_up: tuple[Candidate, ...] = ()
+    doubts: tuple[str, ...] = ()
+    alike: tuple[Candidate, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """`named`, `ambiguous` or `unnamed` (CONTRACT section 5)."""
+        if not self.candidate.named:
+            return "unnamed"
+        return "ambiguous" if self.rivals else "named"
+
+    def is_one_curve(self, r: Responses) -> bool:
+        """Return whether all that it may be is one curve of the angle, the sensor's by a good reference.
+
+        A rival at another period, or with a corner, is another curve between the poses.
+        """
+        those = (self.candidate, *self.rivals)
+        is_smooth = all(c.is_smooth_of_sensor(r) for c in those)
+        is_periodic = any(c.effect.place for c in self.rivals)
+        return is_smooth and not is_periodic and not self.alike and self.candidate.changed is None
+
+    def rows(self, chosen: npt.NDArray[np.intp]) -> SelectedEffect:
+        """Return the same in some of the poses."""
+        candidate = self.candidate.rows(chosen)
+        rivals, runners_up = (
+            tuple(c.rows(chosen) for c in those) for those in (self.rivals, self.runners_up)
+        )
+        return replace(self, candidate=candidate, rivals=rivals, runners_up=runners_up)
+
+    def against(self, rival: Candidate, doubt: str) -> SelectedEffect:
+        """With one rival more, and why."""
+        return replace(self, rivals=(*self.rivals, rival), doubts=(*self.doubts, doubt))
+
+
+def named(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    offered: Sequence[Candidate],
+    ratios: Float32Array,
+    p_value: float,
+    incumbent: Candidate | None = None,
+) -> SelectedEffect:
+    """Return the best of the offered candidates by its full likelihood, and those that come too close to it.
+
+    Of equals, a term of a series stays where it is already in the model: it came with the others. Nothing is
+    `considered` where physics rules all of them out.
+    """
+    ranked = _ranked(r, accepted, offered, ratios)
+    best, leader = ranked[0]
+    margin = MARGIN + (0.0 if leader.named else 2.0 * float(np.log(_forms(offered, leader.label))))
+    near = [c for criterion, c in ranked if criterion == best or criterion - best < margin]
+    named = [c for c in near if c.named]
+    # A catalogue effect that explains as well outranks the flexible shapes that contain it.
+    staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
+    first = [c for c in named if c.shape.claimed_first and named[0].name in c.shape.alike]
+    claimed = (staying or first or named or near)[0]
+    alike = () if is_shift_seen(r, accepted, claimed) else claimed.shape.alike
+    rivals = _rivals(ranked, claimed, alike) if claimed.named else ()
+    elsewhere: tuple[Candidate, ...] = ()
+    if claimed.effect.place and claimed.beside is None:
+        (claimed, *others), elsewhere = _alike(r, accepted, claimed)
+        rivals = (*others, *rivals)
+    own = min(criterion for criterion, c in ranked if c.label == claimed.label)
+    rest = [criterion for criterion, c in ranked if c.kind != claimed.kind and c.named]
+    lead = min(rest) - own if rest and np.isfinite(own) else np.inf
+    considered: dict[str, float] = {}
+    for criterion, c in ranked:
+        if np.isfinite(criterion):  # what physics rules out was not considered
+            considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
+    runners_up = _runners_up(ranked, claimed)
+    told = tuple(considered.items())
+    return SelectedEffect(claimed, rivals, p_value, float(lead), told, runners_up, alike=elsewhere)
+
+
+def _forms(offered: Sequence[Candidate], label: str) -> int:
+    """Return how many forms something without a name has: the more, the better one of them fits by chance."""
+    return len({c.shape.form for c in offered if c.label == label})
+
+
+def _runners_up(ranked: Sequence[tuple[float, Candidate]], claimed: Candidate) -> tuple[Candidate, ...]:
+    others: dict[str, Candidate] = {}
+    for criterion, c in ranked:
+        apart = c.named and c.beside is None and c.kind not in claimed.kind
+        if apart and criterion - ranked[0][0] < FAR_BEHIND:
+            others.setdefault(c.label, c)
+    return tuple(others.values())
+
+
+def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
+    return (
+        candidate.shape.series != ""
+        and candidate.label == other.label
+        and candidate.shape.at == other.shape.at
+    )
+
+
+def _rivals(
+    ranked: Sequence[tuple[float, Candidate]], claimed: Candidate, alike: Sequence[str]
+) -> tuple[Candidate, ...]:
+    """Return the best of each other name that is near or `alike`, and a nameless shape that leads."""
+    best, leader = ranked[0]
+    others: dict[str, Candidate] = {}
+    for criterion, c in ranked:
+        first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
+        # the claimed one, and another; what it is, whenever it came
+        more = any(member.kind == claimed.kind for member in c.members)
+        paid = COMPANION_MARGIN if len(c.members) > len(claimed.members) else 0.0
+        near = criterion + paid - best < MARGIN or c.name in alike
+        if c.named and not more and first.kind not in claimed.kind and near:
+            others.setdefault(first.label, first)
+    if not leader.named:
+        others[leader.label] = leader
+    return tuple(others.values())
+
+
+def _alike(
+    r: Responses, accepted: Sequence[Candidate], claimed: Candidate
+) -> tuple[list[Candidate], tuple[Candidate, ...]]:
+    """The claimed one at its best place with its rivals at others, and all that explain these poses as well.
+
+    A known one of equals comes first, then the largest: a long period before those that only the spacing
+    makes of it. A place known beforehand, such as an order of the turn, is likelier than one among many by
+    what a scan costs.
+    """
+    effect = claimed.effect
+    (best,) = refined(r, accepted, [claimed])
+    found = [(best.criterion, best.candidate)]
+    alike = [
+        candidate_at(r, claimed, shape)
+        for at in effect.look_alikes(r, best.candidate.shape)
+        for shape in effect.forms(r, at)
+    ]
+    for criterion, own, other in refined(r, accepted, alike):
+        others = [*accepted, *(c for _, c in found)]
+        carried = is_distinct_from(r, others, other) and effect.carried(r, other.shape)
+        if carried and other.is_possible(own):
+            found.append((criterion, other))
+    least = min(criterion for criterion, _ in found)
+    equal = [c for criterion, c in found if criterion - least < MARGIN]
+    penalised = [(criterion + np.log(len(r)) * c.parameters, c) for criterion, c in found]
+    likeliest = min(criterion for criterion, _ in penalised)
+    likely = {c for criterion, c in penalised if criterion - likeliest < MARGIN}
+    if not goes_round(r):  # there an order of the turn is no likelier than what is the same thing
+        likely.update(c for criterion, c in found if criterion - least < INDISTINCT)
+    near = [c for _, c in found if c in likely]
+    near = sorted(near, key=lambda c: (c.shape.scanned, -c.shape.at[effect.place]))
+    return near, tuple(c for c in equal if c is not near[0])
+
+
+def pair(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    offered: Sequence[Candidate],
+    ratios: Float32Array,
+    step: SelectedEffect,
+) -> tuple[Candidate, Candidate] | None:
+    """Two named effects that together explain far more than the best one does, None where there are none.
+
+    What both come with time hide each other: a slip in a drift looks like correlated noise once the wrong one
+    of them, or a curve that is neither, has entered alone.
+    """
+    bic_penalty = float(np.log(len(r)))
+
+    def criterion(*added: Candidate) -> float:
+        fitted = fitted_model(r, [*accepted, *added]).fitted
+        return fitted.criterion + bic_penalty * sum(c.parameters for c in added)
+
+    named = [i for i, c in enumerate(offered) if c.named and c.follows is None and c.beside is None]
+    firsts: dict[str, Candidate] = {}
+    for i in sorted(named, key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i])):
+        firsts.setdefault(offered[i].label, offered[i])
+    to_beat = criterion(step.candidate) - dict(step.considered)[step.candidate.label] - PAIR_MARGIN
+    best: tuple[Candidate, Candidate] | None = None
+    for first in list(firsts.values())[:LEADING_NAMES]:
+        model = fitted_model(r, [*accepted, first])
+        rest = [offered[i] for i in named if offered[i].label != first.label]
+        if not rest:
+            continue
+        screen = Screen(r, model.columns, rest, model.fitted.noise)
+        more = screen.once(model.fitted.residuals)
+        second = rest[_first_best(more - bic_penalty * np.array([c.parameters for c in rest]))]
+        together = criterion(first, second)
+        if together < to_beat - SAME:
+            to_beat, best = together, (first, second)
+    return best
+
+
+def _ranked(
+    r: Responses,
+    accepted: Sequence[Candidate],
+    offered: Sequence[Candidate],
+    ratios: Float32Array,
+) -> list[tuple[float, Candidate]]:
+    """A shortlist, the best of each form, ordered by −2 log likelihood plus log n for each parameter."""
+    bic_penalty = float(np.log(len(r)))
+    best: dict[tuple[str, str], int] = {}
+    for index, candidate in enumerate(offered):
+        key = candidate.label, candidate.shape.form
+        if key not in best or ratios[index] > ratios[best[key]] + SAME:
+            best[key] = index
+    order = sorted(best.values(), key=lambda i: bic_penalty * offered[i].parameters - float(ratios[i]))
+    # what is not linear gains more than the screen can tell
+    bent = [index for index in order[SHORTLIST:] if offered[index].effect.not_linear is not None]
+    shortlist = [offered[index] for index in (*order[:SHORTLIST], *bent)]
+    moved = [k for k, c in enumerate(shortlist) if _has_place(c)]
+    for k, one in zip(moved, refined(r, accepted, [shortlist[k] for k in moved]), strict=True):
+        shortlist[k] = one.candidate
+    if shortlist and moved[:1] != [0]:
+        shortlist[0] = at_best_place(r, accepted, shortlist[0])
+    ranked = []
+    for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
+        penalised = criterion + bic_penalty * c.parameters
+        may_be = c.is_possible(own) and not is_at_bound(r, accepted, c)
+        ranked.append((penalised if may_be else np.inf, c))
+    place = {candidate.label: k for k, candidate in reversed(list(enumerate(offered)))}
+    return sorted(ranked, key=lambda pair: (round(min(pair[0], FARTHEST) / SAME), place[pair[1].label]))
+
+
+def _first_best(values: FloatArray) -> int:
+    """Return the first place whose value is the largest but for rounding."""
+    return int(np.flatnonzero(values >= values.max() - SAME)[0])
+
+
+def _has_place(candidate: Candidate) -> bool:
+    """Return whether the likelihood refines a place of a candidate."""
+    return candidate.effect.place != "" and candidate.beside is None and not candidate.shape.series
+
+
+def at_best_place(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> Candidate:
+    """Return a candidate at the best place between those scanned."""
+
+    def of(shape: Shape) -> Candidate:
+        return candidate_at(r, candidate, shape)
+
+    def criterion(shape: Shape) -> float:
+        return fitted_model(r, [*accepted, of(shape)]).fitted.criterion
+
+    if _has_place(candidate):
+        return refined(r, accepted, [candidate])[0].candidate
+    refine = None if candidate.beside is not None else candidate.effect.refine
+    finer = refine and refine(r, candidate.shape, criterion)
+    return candidate if finer is None else of(finer)
