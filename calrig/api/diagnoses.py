@@ -45,7 +45,7 @@ class Diagnose(Body):
 
     runs: list[str] = Field(default=[], max_length=100)
     reference: AssumedReference | None = None
-    periods: list[Annotated[float, Field(gt=0, le=LONGEST_PERIOD_DEG)]] = Field(
+    periods: list[Annotated[float, Field(gt=0, le=LONGEST_PERIOD_DEG, strict=True)]] = Field(
         default=[], max_length=MOST_PERIODS
     )
 

@@ -172,7 +172,8 @@ def _of_runs(
     with Store.open(store_url(db), writer=None) as store:
         *more, last = (whole_id(store, typed) for typed in run_ids)
         run = stored_run(store, last)
-        rig = next((rig for rig in load_settings().rig if rig.name == run.rig), None)
+        rigs = [] if run.rig is None else load_settings().rig
+        rig = next((rig for rig in rigs if rig.name == run.rig), None)
         request = request_of(run, rig, reference, periods_deg)
         asked = Diagnoses(store).question(last, more, request)
         kept = {run.id: counted_poses(store, run.id) for run in runs_together(store, last, more)}

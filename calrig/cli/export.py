@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -138,12 +137,14 @@ def export(
 
 def _table(step_deg: float | None, lsb_deg: float | None) -> CalibrationExporter:
     """Return the exporter of a table with steps of its own."""
-    from calrig.export.formats.table import EXPORTER, STEP_DEG, correction_table
+    from calrig.export.formats.table import EXPORTER, STEP_DEG, correction_table, refuse_steps
 
-    for option, given_deg in (("--step", step_deg), ("--lsb", lsb_deg)):
-        if given_deg is not None and not (math.isfinite(given_deg) and given_deg > 0.0):
-            raise InputError(f"export: {option} is {given_deg:g}°: it must be greater than 0°")
-    write = partial(correction_table, step_deg=step_deg or STEP_DEG, lsb_deg=lsb_deg)
+    step_deg = STEP_DEG if step_deg is None else step_deg
+    try:
+        refuse_steps(step_deg, lsb_deg)
+    except ValueError as error:
+        raise InputError(f"export: {error}") from error
+    write = partial(correction_table, step_deg=step_deg, lsb_deg=lsb_deg)
     return replace(EXPORTER, write=write)
 
 

@@ -15,6 +15,7 @@ from calrig.export.csv_errors import CsvError, shortened
 from calrig.export.csv_units import Unit, conversion, stem_and_unit, unit_of_text
 
 MOST_NAMED = 30
+MAX_NAME_CHARACTERS = 100
 DID_YOU_MEAN = "did you mean"
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 """A decimal number; unlike `float`, neither `1_000` nor digits of other scripts."""
@@ -61,7 +62,7 @@ _SUFFIX = re.compile(r"(.+)_([^_]+)")
 _CLOCKS = frozenset(
     {"time", "timestamp", "datetime", "date_time", "time_utc", "timestamp_utc", "datetime_utc"}
 )
-_NO_UNITS = frozenset({"-", "–", "1"})
+_NO_UNITS = frozenset({"-", "–"})
 _CLOCK_UNITS = frozenset({"utc", "iso", "iso8601", "iso 8601", "local"})
 CLOCK_NAMES = ("time_s", "host_time_s")
 
@@ -133,14 +134,22 @@ def _with_units(text: str) -> list[tuple[str, Unit | None]]:
     found: list[tuple[str, Unit | None]] = []
     for pattern in (_BRACKETS, _SLASH, _LAST_WORD):
         parts = pattern.fullmatch(text)
-        unit = None if parts is None else unit_of_text(parts[2])
-        if parts is not None and (unit is not None or parts[2] in _NO_UNITS):
-            found.append((normalised(parts[1]), unit))
+        if parts is None:
+            continue
+        stem, unit = normalised(parts[1]), unit_of_text(parts[2])
+        own = stem_and_unit(stem)[1]
+        if pattern is not _BRACKETS and (unit is None or own not in {None, unit}):
+            continue  # `reading_deg min` and `temperature_c/min` are other things
+        if unit is not None or parts[2] in _NO_UNITS:
+            found.append((stem, unit))
     return found
 
 
 def _known_by(text: str, stem: str, stated: Unit | None, known: Collection[str]) -> Column | None:
     """The column as one of the known ones, or None."""
+    has_unit = stated is None or stem not in known or stem_and_unit(stem)[1] is not None
+    if not (has_unit or stated is None or stated.quantity == "counts" or _of_stem(stem, stated, known)):
+        return None  # `pass [V]`
     if stem in known and (stated is None or stem_and_unit(stem)[1] in {stated, None}):
         unit = stem_and_unit(stem)[1]
         if unit is not None or stated is None or not _of_stem(stem, stated, known):
@@ -190,8 +199,8 @@ def refuse_bad_names(columns: Sequence[Column], line: int) -> None:
     """
     seen: dict[str, str] = {}
     for column in columns:
-        if len(column.text) > 100 or not column.text.isprintable():
-            what = "a name has at most 100 characters, all printable"
+        if len(column.text) > MAX_NAME_CHARACTERS or not column.text.isprintable():
+            what = f"a name has at most {MAX_NAME_CHARACTERS} characters, all printable"
             raise CsvError(what, line=line, column=column.text)
         if not column.name:
             continue

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 from calrig.export.csv_columns import (
     CLOCK_NAMES,
+    MAX_NAME_CHARACTERS,
     NUMBER,
     Column,
     clock_name,
@@ -100,7 +101,7 @@ _UNKNOWN = frozenset({"", "nan", "na", "n/a", "null", "none"})
 _NOT_AVAILABLE = ("#n/a", "#na", "#nv")
 _NOT_AVAILABLE_BYTES = tuple(text.encode() for text in _NOT_AVAILABLE)
 """A spreadsheet's word for a value that is not known, in English and German."""
-_WITH_UNIT = re.compile(r"([+\-−]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)")
+_WITH_UNIT = re.compile(r"([+\-−]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
 _CLOCK = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}.*")
 
 
@@ -216,6 +217,7 @@ class Cells:
 
 MAX_BYTES = 150_000_000
 MAX_COLUMNS = 200
+_NAME_ENDS = re.compile(rb"[,;\t]")
 MAX_ROWS = 100_000
 MAX_CELLS = 2_000_000
 """Bounds what a file of short cells takes in memory."""
@@ -348,6 +350,7 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     if not header.text:
         raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
     rows = data[header.end : header.end + EXAMINED_BYTES]
+    _refuse_long_names(header)
     dialect = _dialect_of(header.text.decode(errors="replace"), rows, lambda name: names_a_known(name, known))
     texts = [from_spreadsheet(name.strip()) for name in _cells(header, dialect)]
     if len(texts) > MAX_COLUMNS:
@@ -371,6 +374,13 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     for note in header_notes(columns, known):
         report.say(note)
     return Layout(columns, header.line, begin, first_line, dialect, units, report)
+
+
+def _refuse_long_names(header: _Row) -> None:
+    """Refuse names that would take long to compare, before anything is compared with them."""
+    for name in _NAME_ENDS.split(header.text):
+        if len(name) > 4 * MAX_NAME_CHARACTERS:
+            raise CsvError(f"a name has at most {MAX_NAME_CHARACTERS} characters", line=header.line)
 
 
 class _Row(NamedTuple):
@@ -457,27 +467,31 @@ def _read_by_cells(
     for place, column in enumerate(columns):
         is_other = column.is_known and column.text != column.name and column.name not in required
         is_clock = (column.is_known and column.name in CLOCK_NAMES) or any(c is column for c in unnamed)
-        if not is_clock and (not is_other or column.is_text):
+        if not is_clock and not is_other:
             continue
         cells = [cell for cell in _first_cells(rows, place, dialect) if cell.lower() not in _UNKNOWN]
         if is_clock and cells and _time_of(cells[0]) is not None:
             column.name = column.name if column.is_known else "time_s"
             column.is_known = column.is_clock = True
             column.factor, column.offset = 1.0, 0.0
-        elif is_other and cells and not any(map(_HAS_DIGIT.search, cells)):
+        elif is_other and cells and _are_words(cells, column):
             column.name, column.is_known = column.text, False
             column.factor, column.offset = 1.0, 0.0
 
 
-_HAS_DIGIT = re.compile("[0-9]")
+def _are_words(cells: Sequence[str], column: Column) -> bool:
+    """Whether a column of numbers has none in its first cells, or one of labels has units there."""
+    if column.is_text:
+        return all(map(unit_of_text, cells))
+    return not any(map(_WITH_UNIT.match, cells))
 
 
 def _first_cells(rows: bytes, place: int, dialect: Dialect) -> list[str]:
     """The first hundred cells of a column, as far as they are CSV; what is not is told later."""
-    text = io.StringIO(rows.decode(errors="replace"), newline="")
-    reader = csv.reader(text, delimiter=dialect.separator)
+    reader = csv.reader(io.StringIO(rows.decode(errors="replace"), newline=""), delimiter=dialect.separator)
     try:
-        return [row[place].strip() for row in itertools.islice(reader, 100) if len(row) > place]
+        kept = (row for row in reader if len(row) > place and not row[0].lstrip().startswith("#"))
+        return [row[place].strip() for row in itertools.islice(kept, 100)]
     except csv.Error:
         return []
 

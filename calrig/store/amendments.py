@@ -69,7 +69,10 @@ class AcceptedEffects(Repository):
             append(session, act_on("taken_back", run, who, reason, effects=list(dict.fromkeys(names))), now)
 
     def in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
-        """The effects accepted for a unit and for a rig: of each name the latest still in force."""
+        """The effects accepted for a unit and for a rig: of each name the latest still in force.
+
+        The unit's goes before the rig's of one name; of a name given twice in one acceptance one counts.
+        """
         wanted = (
             select(AcceptedEffectTable, RunTable.uid)
             .join(RunTable)
@@ -81,7 +84,13 @@ class AcceptedEffects(Repository):
             latest: dict[tuple[str | None, str], dict[tuple[str, datetime], list[AcceptedEffect]]] = {}
             for row, run_id in session.exec(wanted):
                 together = latest.setdefault((row.unit, row.name), {})
-                together.setdefault((run_id, row.accepted_at), []).append(_accepted(row, run_id))
+                rows = together.setdefault((run_id, row.accepted_at), [])
+                one = _accepted(row, run_id)
+                rows[:] = [*(other for other in rows if other.parameters != one.parameters), one]
+        # an error is the sensor's or the stage's: what was accepted as the unit's is not the rig's as well
+        for owner, name in list(latest):
+            if owner is not None:
+                latest.pop((None, name), None)
         return [effect for together in latest.values() for effect in list(together.values())[-1]]
 
     def by_id(self, ids: Sequence[int]) -> list[AcceptedEffect]:

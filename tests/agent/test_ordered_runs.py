@@ -11,6 +11,7 @@ from calrig.analysis.calibration_in_force import ActiveCalibration
 from calrig.analysis.stored_runs import AmbiguousRuns
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.regression.request import AS_USUAL
 from calrig.calibration.uncertainty.budget import ReferenceFigures
 from calrig.plan import Plan
 from calrig.runs.assignment import NewRun, order_part, ordered_run
@@ -59,7 +60,7 @@ def test_a_follow_up_rests_on_the_same_poses_and_finds_the_same_in_them() -> Non
                     filtering=Filtering(),
                 )
             )
-    earlier = AmbiguousRuns.of(["17"], [poses])
+    earlier = AmbiguousRuns.of(["17"], [poses], AS_USUAL)
     plan = Plan.model_validate({**QUICK, "sweeps": 1})
     run = ordered(plan, follow_up=FollowUpRun(earlier, ["backlash", "settling"], 2, plan, RIG.limits_deg))
     assert run.follow_up is not None

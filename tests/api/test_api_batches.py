@@ -59,7 +59,7 @@ def test_units_go_one_after_the_other_and_one_that_fails_once_more_at_the_end(sh
     now = finished(shared_client, batch, "BAD-2")
     assert states(now)[1:] == [("BAD-2", "fail"), ("PLAIN-3", "waiting"), ("BAD-2", "waiting")]
     assert now["rigs"][0]["last_says"] and now["rigs"][0]["on"]["unit"] == "PLAIN-3"
-    assert "strict" in now["units"][1]["why"] and "at most 0.0000010° allowed" in now["units"][1]["why"]
+    assert "strict" in now["units"][1]["why"] and "at most 0.0000010°" in now["units"][1]["why"]
     run = shared_client.get(f"/api/runs/{now['units'][0]['run_id']}").json()
     assert (run["operator"], run["note"], run["unit"]) == ("ada", "tray 7", "OK-1")
     assert begun(shared_client, batch, "OK-1").status_code == 409

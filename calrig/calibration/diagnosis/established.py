@@ -16,17 +16,16 @@ import numpy as np
 
 from calrig.calibration.diagnosis.candidates import Candidate, own_columns
 from calrig.calibration.diagnosis.ranking import SelectedEffect
-from calrig.calibration.diagnosis.report import covariance_with_places
+from calrig.calibration.diagnosis.report import covariance_with_places, has_size
 from calrig.calibration.diagnosis.reselection import penalised_criterion
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.regression.noise_model import distance_of
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 TWO_STANDARD_ERRORS = 0.0455
 """Chance that noise alone gives a coefficient of two standard errors or more."""
-NO_SIZES = ("phase_deg", "at")
-"""What a document states of an effect that says where it is, and not how large."""
 CLEAR = 4.0
 """Standard errors from which on the refits of noise that widen them need not be drawn."""
 
@@ -105,26 +104,14 @@ def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> l
 
     def wald(covariance: FloatArray) -> list[float]:
         """Return each squared distance from 0, per coefficient."""
-        return [
-            float(beta[at] @ np.linalg.pinv(covariance[at, at], hermitian=True) @ beta[at])
-            / (at.stop - at.start)
-            for at in own
-        ]
+        return [distance_of(beta[at], covariance[at, at]) / (at.stop - at.start) for at in own]
 
     covariance = covariance_with_places(model, own, widened=False)
     if draws and min(wald(covariance)) < CLEAR**2:
         covariance = covariance_with_places(model, own)
     return [
         float(fdtrc(at.stop - at.start, freedom, distance))
-        if _has_size(candidate, beta[at], covariance[at, at])
+        if has_size(candidate, beta[at], covariance[at, at])
         else 1.0
         for candidate, at, distance in zip(candidates, own, wald(covariance), strict=True)
     ]
-
-
-def _has_size(candidate: Candidate, beta: FloatArray, covariance: FloatArray) -> bool:
-    """Return whether one of the sizes that a document states reaches two standard errors."""
-    stated = candidate.effect.reported(candidate.shape, beta, covariance)
-    sizes = [size for name, size in stated.items() if size is not None and name not in NO_SIZES]
-    known = [(size["value"], size["std"]) for size in sizes]
-    return any(v is not None and std is not None and abs(v) >= 2.0 * std for v, std in known)

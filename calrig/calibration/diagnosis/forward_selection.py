@@ -16,7 +16,7 @@ from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, MARGIN, Selec
 from calrig.calibration.diagnosis.reselection import Rivals, is_on_trial, penalised_criterion
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.diagnosis.significance_test import Verdict
-from calrig.calibration.regression.noise_model import STRONG_RHO, fit
+from calrig.calibration.regression.noise_model import STRONG_RHO, distance_of, fit
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.run_changes import RUN
 
@@ -47,7 +47,7 @@ def is_practically_significant(r: Responses, accepted: Sequence[Candidate], step
     )
     reaching = own[np.ptp(candidate.columns[:, 0, :], axis=0) > 0.0]
     beta, covariance = fitted.beta[reaching], fitted.covariance[np.ix_(reaching, reaching)]
-    sure = float(np.sqrt(beta @ np.linalg.pinv(covariance, hermitian=True) @ beta))
+    sure = float(np.sqrt(distance_of(beta, covariance)))
     least = LEAST_OF_A_COMPANION if candidate.label in companions_of(accepted) else LEAST_STANDARD_ERRORS
     helps = step.verdict != "named" or left_deg <= left_before_deg
     return part.std() >= LEAST_SHARE * left_deg and sure >= least and helps

@@ -30,7 +30,7 @@ from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
 from calrig.calibration.regression.channels import SCALE_UNIT_DEG
-from calrig.calibration.regression.noise_model import Fit, fit
+from calrig.calibration.regression.noise_model import Fit, distance_of, fit
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.run_changes import with_free_levels
 from calrig.estimation.angles import FloatArray
@@ -331,7 +331,12 @@ def _as_far_as_shown(curve: Candidate, train: Intp, before: FloatArray) -> Candi
     own = _flat(directions[train])
     left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
     _, seen, turn = np.linalg.svd(left, full_matrices=False)
-    return replace(curve, columns=directions @ turn[seen > FORESEEN].T)
+    kept = turn[seen > FORESEEN].T
+    shape, at_elevation = curve.shape, curve.shape.at_elevation
+    if at_elevation is not None:
+        of_own = np.linalg.lstsq(_flat(curve.columns), whole @ kept, rcond=None)[0]
+        shape = replace(shape, at_elevation=lambda theta_deg: at_elevation(theta_deg) @ of_own)
+    return replace(curve, shape=shape, columns=directions @ kept)
 
 
 def _flat(columns: FloatArray) -> FloatArray:
@@ -352,7 +357,7 @@ def _contradicts(r: Responses, accepted: Sequence[Candidate], place: int, whole:
         part = fit(r.rows(train), columns[train])
         change = part.beta[at] - whole.beta[at]
         # Var(change) = Var(part) − Var(whole), which errs with both: the first alone is on the safe side
-        distance = float(change @ np.linalg.pinv(part.covariance[at, at], hermitian=True) @ change)
+        distance = distance_of(change, part.covariance[at, at])
         if chdtrc(len(change), distance) < UNSTABLE:
             return True
     return False

@@ -16,6 +16,7 @@ from calrig.calibration.diagnosis.candidate_fits import (
 )
 from calrig.calibration.diagnosis.candidates import (
     Candidate,
+    at_its_elevations,
     candidate_at,
     goes_round,
 )
@@ -101,6 +102,15 @@ class SelectedEffect:
         )
         return replace(self, candidate=candidate, rivals=rivals, runners_up=runners_up)
 
+    def at_elevations_of(self, r: Responses) -> SelectedEffect:
+        """With columns at the elevations of these poses, where a delay made them at earlier ones."""
+        own = at_its_elevations(r, self.candidate)
+        rivals, runners_up, alike = (
+            tuple(at_its_elevations(r, c) for c in those)
+            for those in (self.rivals, self.runners_up, self.alike)
+        )
+        return replace(self, candidate=own, rivals=rivals, runners_up=runners_up, alike=alike)
+
     def against(self, rival: Candidate, doubt: str) -> SelectedEffect:
         """With one rival more, and why."""
         return replace(self, rivals=(*self.rivals, rival), doubts=(*self.doubts, doubt))
@@ -128,7 +138,8 @@ def named(
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
     first = [c for c in named if c.shape.claimed_first and named[0].name in c.shape.alike]
     claimed = (staying or first or named or near)[0]
-    alike = () if is_shift_seen(r, accepted, claimed) else claimed.shape.alike
+    told = {"latency", "backlash"}.issuperset(claimed.shape.alike) and is_shift_seen(r, accepted, claimed)
+    alike = () if told else claimed.shape.alike
     rivals = _rivals(ranked, claimed, alike) if claimed.named else ()
     elsewhere: tuple[Candidate, ...] = ()
     if claimed.effect.place and claimed.beside is None:
@@ -142,8 +153,8 @@ def named(
         if np.isfinite(criterion):  # what physics rules out was not considered
             considered.setdefault(c.label, round(max(criterion - best, 0.0), 2))
     runners_up = _runners_up(ranked, claimed)
-    told = tuple(considered.items())
-    return SelectedEffect(claimed, rivals, p_value, float(lead), told, runners_up, alike=elsewhere)
+    behind = tuple(considered.items())
+    return SelectedEffect(claimed, rivals, p_value, float(lead), behind, runners_up, alike=elsewhere)
 
 
 def _forms(offered: Sequence[Candidate], label: str) -> int:

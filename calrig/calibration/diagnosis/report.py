@@ -68,6 +68,14 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     model = fitted_model(r, whole)
     own = own_columns(model.columns, whole)
     fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
+    sized = [
+        one if has_size(one, fitted.beta[at], fitted.covariance[at, at]) else f.candidate
+        for one, at, f in zip(whole, own, findings.found, strict=True)
+    ]
+    if sized != whole:  # of two coefficients that only together are certain, the one that was found
+        model = fitted_model(r, whole := sized)
+        own = own_columns(model.columns, whole)
+        fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
     return [
         {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
         for one, candidate, at in zip(findings.found, whole, own, strict=True)
@@ -335,3 +343,15 @@ def _column(r: Responses, covariate: str) -> FloatArray:
     if column is None:
         raise DiagnosisError(f"these poses have no {covariate}: diagnose them again")
     return column
+
+
+NO_SIZES = ("phase_deg", "at")
+"""What a document states of an effect that says where it is, and not how large."""
+
+
+def has_size(candidate: Candidate, beta: FloatArray, covariance: FloatArray) -> bool:
+    """Return whether one of the sizes that a document states reaches two standard errors."""
+    stated = candidate.effect.reported(candidate.shape, beta, covariance)
+    sizes = [size for name, size in stated.items() if size is not None and name not in NO_SIZES]
+    known = [(size["value"], size["std"]) for size in sizes]
+    return any(v is not None and std is not None and abs(v) >= 2.0 * std for v, std in known)

@@ -243,7 +243,7 @@ def _against_rivals(
     else:
         again = named(r, others, rivals, ratios, one.p_value, one.candidate)
     place = next(k for k, f in enumerate(found) if f is one)
-    members = [replace(again, candidate=member) for member in again.candidate.members]
+    members = [replace(again, candidate=member).at_elevations_of(r) for member in again.candidate.members]
     return [*found[:place], *members, *found[place + 1 :]]
 
 

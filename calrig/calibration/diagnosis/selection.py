@@ -353,7 +353,7 @@ def _entering(
 ) -> tuple[list[SelectedEffect], str | None]:
     """Return the effects that enter, or none and the label of one that is significant but of no worth."""
     if not verdict.passes:
-        return masked_pair(r, model, verdict, judged), None
+        return [step.at_elevations_of(r) for step in masked_pair(r, model, verdict, judged)], None
     steps: list[SelectedEffect] = []
     best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
     if best.considered and is_practically_significant(r, accepted, best):
@@ -361,7 +361,7 @@ def _entering(
         steps = forward_step(r, accepted, best, verdict, judged, rivals)
     elif best.considered and companions_of([best.candidate]):
         steps = tested_pair(r, model, best, judged)
-    return steps, None if steps else best.candidate.label
+    return [step.at_elevations_of(r) for step in steps], None if steps else best.candidate.label
 
 
 def _place_of(candidate: Candidate) -> object:

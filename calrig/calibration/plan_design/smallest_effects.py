@@ -41,6 +41,8 @@ SLOW = 1.6
 """Times as large an effect of time must be, measured the same way: noise that wanders looks like it."""
 SHARED = 0.87
 """Correlation of the reading's noise with that of the accelerometer's angle."""
+MOST_PARAMETERS = 2
+"""Of a form that a plan is to show: a drift that bends is found by more than its straight part."""
 MOVE_DEG = 0.02
 """Noise of the gyro's integral over a move."""
 UNMEASURED = 1e-7
@@ -91,7 +93,8 @@ def suspects(
     standing = replace(r, stretch_deg=np.zeros(len(r)))
     for candidate in candidates_of(r):
         shown = candidate.name in found and candidate.name not in hidden
-        if shown and candidate.beside is None and candidate.changed is None:
+        is_one = candidate.beside is None and candidate.changed is None
+        if shown and is_one and len(candidate.shape.parameters) <= MOST_PARAMETERS:
             in_dwells = _in_dwells(candidate, standing) if r.stretch_deg.any() else candidate
             found[candidate.name].append(_least(candidate, in_dwells, r, noise, base))
     return [_said(name, *_middle(sizes)) for name, sizes in found.items()]

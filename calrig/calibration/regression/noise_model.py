@@ -266,6 +266,14 @@ def _inverse(gram: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.pinv(gram, hermitian=True), dtype=np.float64)
 
 
+def solved(gram: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solution of normal equations (…, p, p), the shortest where noise has left them singular."""
+    try:
+        return np.asarray(np.linalg.solve(gram, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(gram, hermitian=True) @ right, dtype=np.float64)
+
+
 def _by_channel(columns: FloatArray, values: FloatArray) -> FloatArray:
     """(b, J, n, p + 1) columns (b or 1, n, J, p) and beside them values (b, n, J), channel by channel."""
     b, n, channels = values.shape
@@ -330,6 +338,14 @@ def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: fl
     """Return whitened columns (n, J, p) as one matrix (n·J, p)."""
     white = noise.whiten(np.moveaxis(columns, 2, 0), starts, share)
     return white.reshape(len(white), -1).T
+
+
+def distance_of(beta: FloatArray, covariance: FloatArray) -> float:
+    """Return the squared distance of coefficients (p,) from 0, in whatever units each of them is."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = np.where(std > 0.0, std, 1.0)
+    scaled = beta / std
+    return float(scaled @ np.linalg.pinv(covariance / np.outer(std, std), hermitian=True) @ scaled)
 
 
 def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased: bool = False) -> NoiseModel:
@@ -406,7 +422,7 @@ class RepeatedSteps:
             gram[:, q:, q:] = (weights @ own[at]).reshape(len(left), w, w)
             power = np.einsum("mii->mi", gram)
             power += power == 0.0  # of nothing the coefficient is 0
-            inside = np.linalg.solve(gram, np.swapaxes(weights @ of_left, 1, 2))[:, :, 0]
+            inside = solved(gram, np.swapaxes(weights @ of_left, 1, 2))[:, :, 0]
             residuals = left - inside[:, :q] @ self._model
             residuals -= (inside[:, None, q:] @ beside[at])[:, 0]
             products = lagged_products(residuals.reshape(-1, *r.values.shape), r.starts, r.rounding)

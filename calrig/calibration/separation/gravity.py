@@ -288,7 +288,8 @@ def trace_gravity(
             "exceeded in them? Take them again, at rest"
         )
     if excluded:
-        poses, problem = poses.rows(kept), problem.rows(kept)
+        poses = poses.rows(kept)
+        problem = Problem.of(poses)
         _refuse_what_determines_nothing(poses)
     rng = np.random.default_rng(SEED)
     base = fit_gravity(problem)

@@ -145,21 +145,21 @@ def _line(document: Document, reference: Reference | None, freedom: int | None) 
     return found
 
 
-def _stds_solved(document: Document) -> dict[tuple[str, str], float]:
+def _stds_solved(document: Document) -> dict[tuple[str, str, float], float]:
     """Standard errors of a joint solution's parameters, as its document has them."""
     solved = document["provenance"].get("solution") or {"std": {}}
     return {
-        (effect["name"], name): solved["std"][name]
+        (effect["name"], name, value): solved["std"][name]
         for effect in document["effects"]
-        for name in effect["parameters"]
+        for name, value in effect["parameters"].items()
         if solved["std"].get(name) is not None
     }
 
 
-def _stds(run: Run) -> dict[tuple[str, str], float]:
+def _stds(run: Run) -> dict[tuple[str, str, float], float]:
     """Standard errors of effects' parameters, of those that the run's own diagnosis found."""
     return {
-        (effect["name"], name): given["std"]
+        (effect["name"], name, given["value"]): given["std"]
         for effect in (run.diagnosis or {}).get("effects", ())
         if effect.get("accepted_at") is not None
         for name, given in effect["parameters"].items()

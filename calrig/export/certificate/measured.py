@@ -124,13 +124,13 @@ class Measured:
 
 
 def effects_found(
-    effects: Sequence[Document], stds: Mapping[tuple[str, str], float] | None = None
+    effects: Sequence[Document], stds: Mapping[tuple[str, str, float], float] | None = None
 ) -> tuple[EffectFound, ...]:
     """Effects of a document, or of the rig, in the catalogue's words.
 
     Args:
         effects: `name` and `parameters` of each.
-        stds: standard errors by effect and parameter, as far as they are known.
+        stds: standard errors by effect, parameter and its value, as far as they are known.
     """
     return tuple(
         _effect_found(one["name"], one.get("origin"), one["parameters"], stds or {}) for one in effects
@@ -141,7 +141,7 @@ def _effect_found(
     name: str,
     origin: Origin | None,
     parameters: Mapping[str, float | None],
-    stds: Mapping[tuple[str, str], float],
+    stds: Mapping[tuple[str, str, float], float],
 ) -> EffectFound:
     effect = effect_of(name)
     if origin is None:  # of a unit's document, where a term of the angle is the sensor's
@@ -156,7 +156,7 @@ def _effect_found(
             "" if parameter is None else (effect.covariate.unit if parameter.unit is None else parameter.unit)
         )
         title = key if parameter is None else f"{parameter.title} ({key})"
-        figures.append(Quantity(key, title, value, unit, std=stds.get((name, key))))
+        figures.append(Quantity(key, title, value, unit, std=stds.get((name, key, value))))
     return EffectFound(name, effect.title_of(origin), effect.formula, ORIGINS[origin], tuple(figures))
 
 

@@ -24,12 +24,24 @@ from calrig.estimation.angles import FloatArray
 from calrig.export.formats import CalibrationExporter
 
 STEP_DEG = 1.0
+SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 1e-6, 90.0
 MOST_ROWS = 100_000
 BETWEEN = np.linspace(0.0, 1.0, 9)[1:-1]
 """Places between two rows at which the interpolation is compared with the calibration."""
 NOT_KNOWN = ""
 PLACES = 721
 """Of the range, at which the readings are found that it spans."""
+
+
+def refuse_steps(step_deg: float, lsb_deg: float | None) -> None:
+    """Refuse steps that no table can have.
+
+    Raises:
+        ValueError: says which.
+    """
+    for option, given_deg in (("--step", step_deg), ("--lsb", lsb_deg)):
+        if given_deg is not None and not SMALLEST_STEP_DEG <= given_deg <= LARGEST_STEP_DEG:
+            raise ValueError(f"{option} is {given_deg:g}°: it must lie between 1e-6° and 90°")
 
 
 def correction_table(
@@ -45,11 +57,9 @@ def correction_table(
 
     Raises:
         ApplyError: the calibration cannot be applied to readings alone, at one temperature.
-        ValueError: the table would be too long, or a step is no positive number.
+        ValueError: the table would be too long, or a step is not between 1e-6° and 90°.
     """
-    for name, given_deg in (("step", step_deg), ("LSB", lsb_deg)):
-        if given_deg is not None and not (math.isfinite(given_deg) and given_deg > 0.0):
-            raise ValueError(f"the {name} is {given_deg:g}°: it must be greater than 0°")
+    refuse_steps(step_deg, lsb_deg)
     application = Application.of_document(document)
     if application.accelerometer is not None:
         raise ApplyError("its elevations follow from accelerations, not from readings; take c-header")
