@@ -418,3 +418,18 @@ def test_measured_logs_are_traced_to_misalignment(name, n_poses, before_mg, afte
     assert (base["fit_rms_mg"], base["held_out_rms_mg"]) == pytest.approx(before_mg, rel=0.05)
     assert final["fit_rms_mg"] <= after_mg[0]
     assert final["held_out_rms_mg"] <= after_mg[1]
+
+
+def test_a_bad_position_at_another_temperature_changes_no_coefficient():
+    """Those of the kept poses are stated about the kept poses' temperature."""
+    rng = np.random.default_rng(5)
+    up = rng.normal(size=(60, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    celsius = rng.uniform(20.0, 30.0, 60)
+    accel_g = up + np.outer(celsius - 25.0, [1e-3, 2e-3, -1e-3]) + rng.normal(0.0, 1e-4, (60, 3))
+    accel_g[7] *= 1.3
+    celsius[7] = 100.0
+    document = gravity_document(calibrate_by_gravity(accel_g, temperature_c=celsius))
+    (effect,) = (one for one in document["effects"] if one["name"] == "temperature_bias")
+    found = [effect["parameters"][f"{axis}_mg_per_c"]["value"] for axis in "xyz"]
+    assert found == pytest.approx([1.0, 2.0, -1.0], abs=0.15)

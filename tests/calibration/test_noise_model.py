@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from calrig.calibration.regression.noise_model import PRIOR_RHO_STD, fit, noise_of
+from calrig.calibration.regression.noise_model import PRIOR_RHO_STD, distance_of, fit, noise_of
 from calrig.calibration.regression.responses import Responses, responses_of
 
 RHO = 0.6
@@ -71,3 +71,12 @@ def test_a_correlation_for_a_bootstrap_is_unbiased_in_short_runs() -> None:
     series = series - series.mean(axis=1, keepdims=True)
     found = [noise_of(one[:, None], r, 1.0, unbiased=True).rho[0] for one in series]
     assert np.mean(found) == pytest.approx(RHO, abs=0.02)
+
+
+def test_a_distance_from_nothing_is_the_same_in_any_units():
+    beta, covariance = np.array([1.0, 3.0]), np.array([[0.25, 0.1], [0.1, 0.5]])
+    small = np.diag([1.0, 1e-12])
+    assert distance_of(small @ beta, small @ covariance @ small) == pytest.approx(
+        distance_of(beta, covariance)
+    )
+    assert distance_of(beta, covariance) == pytest.approx(beta @ np.linalg.solve(covariance, beta))

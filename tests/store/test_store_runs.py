@@ -290,6 +290,27 @@ def test_effects_in_force_are_those_of_the_unit_and_of_its_rig_alone(store, new_
     assert store.effects.in_force("AS-1", None) == [of_unit]
 
 
+def test_an_error_accepted_as_the_units_is_not_the_rigs_as_well(store, new_run):
+    run = new_run(unit="AS-1")
+    wave = {"amplitude_deg": 1.0, "phase_deg": 0.0, "period_deg": 90.0}
+    of_rig = AcceptedEffect(run.id, None, "bench-1", "stage_periodic", "stage", wave)
+    of_unit = AcceptedEffect(run.id, "AS-1", None, "stage_periodic", "sensor", wave)
+    store.effects.accept(run.id, [of_rig])
+    store.effects.accept(run.id, [of_unit])
+    assert store.effects.in_force("AS-1", "bench-1") == [of_unit]
+    assert store.effects.in_force("AS-2", "bench-1") == [of_rig]
+
+
+def test_several_of_one_name_are_in_force_together_and_one_given_twice_once(store, new_run):
+    run = new_run(unit="AS-1")
+    orders = [
+        AcceptedEffect(run.id, "AS-1", None, "stage_periodic", "sensor", {"period_deg": 360.0 / order})
+        for order in (2.0, 4.0, 4.0)
+    ]
+    store.effects.accept(run.id, orders)
+    assert store.effects.in_force("AS-1", None) == orders[:2]
+
+
 def test_where_a_stage_was_left_is_there_for_the_next_process(url):
     with Store.open(url, writer="run") as store:
         assert store.positions.of("bench") is None
