@@ -57,7 +57,7 @@ def judge(
     }
     if cross_fit and run.truths:
         after = said["final"]["held_out_rms_deg"]
-        facts["held_out_ratio"] = after / oracles.held_out_rms_deg(diagnosis.findings.responses, run.truths)
+        facts["held_out_ratio"] = after / oracles.held_out_rms_deg(diagnosis.findings, run.truths)
     if cell.kind in ("one", "limit") and effects:
         facts |= _of_one(run.truths[0], effects)
         facts["oracle_set_size"] = oracles.set_size(diagnosis.findings.responses, run.noise)

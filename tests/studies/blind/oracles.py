@@ -7,6 +7,7 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
 from calrig.calibration.diagnosis.held_out import folds_of
 from calrig.calibration.diagnosis.ranking import MARGIN
+from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.regression.noise_model import NoiseModel, stacked
 from calrig.calibration.regression.responses import Responses
@@ -50,9 +51,11 @@ def set_size(r: Responses, noise: Noise) -> int:
     return sum(value - min(finer) < MARGIN for value in finer)
 
 
-def held_out_rms_deg(r: Responses, truths: list[Truth]) -> float:
+def held_out_rms_deg(findings: Findings, truths: list[Truth]) -> float:
     """RMS error of held-out poses, of least squares with every cause's true shape, on the same folds."""
-    columns = np.column_stack([np.ones(len(r)), r.theta_deg, *[truth.shape_deg for truth in truths]])
+    r = findings.responses
+    shapes = [truth.shape_deg[findings.kept] for truth in truths]
+    columns = np.column_stack([np.ones(len(r)), r.theta_deg, *shapes])
     fold = folds_of(r)
     errors = np.empty(len(r))
     for k in np.unique(fold):

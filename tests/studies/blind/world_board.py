@@ -75,7 +75,7 @@ def judge_world(task: WorldTask) -> WorldJudgement:
         excess = float(np.mean(sizes)) - _oracle_set_size(task, len(sizes))
     if task.cross_fit and run.truths:
         after = said["final"]["held_out_rms_deg"]
-        ratio = after / oracles.held_out_rms_deg(diagnosis.findings.responses, run.truths)
+        ratio = after / oracles.held_out_rms_deg(diagnosis.findings, run.truths)
     return WorldJudgement(
         said="; ".join(map(words, effects)) or "nothing",
         found=len(effects) >= max(len(run.truths), 1),
