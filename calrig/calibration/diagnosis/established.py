@@ -3,8 +3,7 @@
 A search tests whether something is there. It does not test whether each effect of the final model has a size:
 two terms that entered one after the other may cancel each other. Each effect is judged by a Wald test of all
 its coefficients together (Seber & Wild, Nonlinear Regression, 1989, section 5.3), so of amplitude and phase
-of a wave at once. And a document states sizes: of an effect at least one of them reaches two of its
-standard errors.
+of a wave at once. Where a document states one size of an effect, that reaches two of its standard errors.
 """
 
 from __future__ import annotations
@@ -92,7 +91,8 @@ def _candidates(found: Sequence[SelectedEffect]) -> list[Candidate]:
 def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> list[float]:
     """Return each effect's chance of coefficients as large in noise alone, the other effects present.
 
-    It is 1 where no size that a document would state reaches two standard errors.
+    It is 1 where the one size that a document would state is below two standard errors. Several may be
+    certain together alone, as the offsets of two axes over a short arc.
     """
     from scipy.special import fdtrc
 
@@ -111,7 +111,7 @@ def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> l
         covariance = covariance_with_places(model, own)
     return [
         float(fdtrc(at.stop - at.start, freedom, distance))
-        if has_size(candidate, beta[at], covariance[at, at])
+        if has_size(candidate, beta[at], covariance[at, at], together=True)
         else 1.0
         for candidate, at, distance in zip(candidates, own, wald(covariance), strict=True)
     ]

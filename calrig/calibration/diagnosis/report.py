@@ -349,9 +349,19 @@ NO_SIZES = ("phase_deg", "at")
 """What a document states of an effect that says where it is, and not how large."""
 
 
-def has_size(candidate: Candidate, beta: FloatArray, covariance: FloatArray) -> bool:
-    """Return whether one of the sizes that a document states reaches two standard errors."""
+def has_size(
+    candidate: Candidate, beta: FloatArray, covariance: FloatArray, *, together: bool = False
+) -> bool:
+    """Return whether one of the sizes that a document states reaches two standard errors.
+
+    Args:
+        candidate: an effect of a model.
+        beta: (p,) its own coefficients.
+        covariance: (p, p) of them.
+        together: whether several sizes are judged elsewhere, all at once.
+    """
     stated = candidate.effect.reported(candidate.shape, beta, covariance)
     sizes = [size for name, size in stated.items() if size is not None and name not in NO_SIZES]
     known = [(size["value"], size["std"]) for size in sizes]
-    return any(v is not None and std is not None and abs(v) >= 2.0 * std for v, std in known)
+    is_large = any(v is not None and std is not None and abs(v) >= 2.0 * std for v, std in known)
+    return is_large or (together and len(known) > 1)

@@ -9,6 +9,7 @@ import json
 import multiprocessing
 import random
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -99,8 +100,16 @@ def _values(poses: list[Pose]) -> list[dict[str, float | int]]:
     return [{name: value for name, value in pose.row().items() if value is not None} for pose in poses]
 
 
-def _differences(data: bytes, poses: list[Pose], warnings: list[str]) -> str:
+def _told(data: bytes, warnings: Sequence[str]) -> tuple[list[str], list[list[float | str | None]]]:
+    """The header, and the rows less those that the reader says it took for comments."""
     header, rows = rows_of(data)
+    if any(warning.startswith("comment lines are left out") for warning in warnings):
+        rows = [row for row in rows if not str(row[0]).startswith("#")]
+    return header, rows
+
+
+def _differences(data: bytes, poses: list[Pose], warnings: list[str]) -> str:
+    header, rows = _told(data, warnings)
     if len(rows) != len(poses):
         return f"{len(rows)} rows went in and {len(poses)} poses came out"
     if any("they are sorted by it" in warning for warning in warnings):
@@ -119,7 +128,7 @@ def _differences(data: bytes, poses: list[Pose], warnings: list[str]) -> str:
 
 def _log(data: bytes) -> str:
     log = read_static(data)
-    header, rows = rows_of(data)
+    header, rows = _told(data, log.warnings)
     if len(rows) != len(log):
         return f"{len(rows)} rows went in and {len(log)} samples came out"
     for place, name in enumerate(header):
