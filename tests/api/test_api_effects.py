@@ -14,7 +14,9 @@ def test_the_catalogue_says_all_that_a_page_shows_of_an_effect(shared_client):
     assert [effect["name"] for effect in effects] == list(EFFECTS)
     (backlash,) = (effect for effect in effects if effect["name"] == "backlash")
     hysteresis = {"name": "backlash_deg", "title": "Hysteresis (up − down)", "unit": "°", "flag": False}
-    assert backlash["parameters"][0] == hysteresis
+    taken_up = backlash["parameters"][1]
+    assert backlash["parameters"] == [hysteresis, {**taken_up, "name": "taken_up", "unit": "", "flag": False}]
+    assert "before each pose" in taken_up["title"]
     assert (backlash["scope"], backlash["origin_title"]) == ("rig", "the stage")
     assert (backlash["covariate"], backlash["covariate_title"]) == ("approach", "approach")
 

@@ -412,6 +412,6 @@ EFFECT = Effect(
     apart="what the column stands for, once somebody has looked",
     remedy="look at what changes with this column",
     as_sensor=SensorTerm(
-        "Nonlinearity without a name", "correct by the unit's calibration, which has it as a curve"
+        "Nonlinearity without a name", "where it is a smooth curve, correct it by the unit's calibration"
     ),
 )
