@@ -81,7 +81,7 @@ class LaboratorySettings(Strict):
         logo: for the head of certificates, an SVG, PNG or JPEG file.
         fonts: a folder of fonts for what typst's own have no characters for.
         country: of the laboratory, two letters of ISO 3166-1, for digital certificates.
-        signing_key, signing_certificate: PEM files that digital certificates are signed with.
+        signing_key, signing_certificate: PEM files that certificates are signed with, digital and PDF.
     """
 
     name: Words | None = None

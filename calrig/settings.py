@@ -21,6 +21,7 @@ from pydantic import (
 
 from calrig.invalid_fields import first_problem
 from calrig.laboratory import STANDARDS, LaboratorySettings, Overdue, StandardSettings, Strict
+from calrig.model.result import Distribution, StatedKind
 from calrig.model.verdict import Interval, Limit
 
 
@@ -138,8 +139,8 @@ class ReferenceSettings(StandardSettings):
     """
 
     std_deg: float | None = Field(default=None, gt=0)
-    kind: Literal["setting", "harmonic", "common"] = "harmonic"
-    distribution: Literal["rectangular", "normal"] = "rectangular"
+    kind: StatedKind = "harmonic"
+    distribution: Distribution = "rectangular"
     map: str | None = Field(default=None, min_length=1)
     good: bool = False
 

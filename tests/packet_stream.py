@@ -8,7 +8,7 @@ import numpy as np
 
 from calrig.instruments.boards.calrig.driver import READ_EVERY_S
 from calrig.instruments.types import BoardIdentity
-from calrig.simulator.boards.calrig.packets import sample_packets
+from calrig.simulator.board import sample_packets
 
 MPU = BoardIdentity("calrig", "1.0", "", "MPU-6050", 2, 250, 1000)
 BLOCK = 10_000

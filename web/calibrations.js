@@ -1,21 +1,34 @@
 // A unit's issued calibrations: the document of the revision in force, and every revision with its status.
 
-import { get, post } from "./api.js";
+import { get, getOnce, getText, post } from "./api.js";
 import { askReason } from "./ask.js";
-import { certificateButtons } from "./certificate.js";
-import { button, dataTable, figureList, fill, h, paragraphs, runLink, runName, statusPill, tableRow } from "./dom.js";
-import { formats } from "./formats.js";
+import { certificateButtons, issuedTable } from "./certificate.js";
+import {
+  button,
+  dataTable,
+  figureList,
+  fill,
+  h,
+  paragraphs,
+  runLink,
+  runName,
+  saveFile,
+  statusPill,
+  tableRow,
+} from "./dom.js";
 import { isKnown, moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
-/** Two cards that reload after each release, withdrawal or draft. */
+/** Three cards that reload after each release, withdrawal, draft or certificate. */
 export class Calibrations {
   constructor(serial, signal) {
     this.path = `/api/units/${encodeURIComponent(serial)}`;
     this.signal = signal;
     this.inForce = h("section", { class: "card", id: "calibration", "aria-labelledby": "in-force-title" });
     this.revisions = h("section", { class: "card", id: "revisions", "aria-labelledby": "revisions-title" });
-    this.elements = [this.inForce, this.revisions];
+    this.certificates = h("section", { class: "card", "aria-labelledby": "certificates-title" });
+    this.elements = [this.inForce, this.certificates, this.revisions];
+    this.serial = serial;
     window.addEventListener("calrig:done", () => this.#readAgain(), { signal });
   }
 
@@ -41,6 +54,13 @@ export class Calibrations {
       this.#waiting(revisions, current),
       document ? this.#document(document, current, otherPrograms) : none(revisions),
     );
+    const issued = await get(`/api/certificates?unit=${encodeURIComponent(this.serial)}`, this.signal);
+    this.certificates.hidden = !issued.length;
+    fill(
+      this.certificates,
+      h("h2", { id: "certificates-title" }, "Certificates"),
+      issuedTable(this.path, issued, current),
+    );
     this.revisions.hidden = !revisions.length;
     fill(
       this.revisions,
@@ -59,7 +79,7 @@ export class Calibrations {
       h("p", { class: "headline" }, `Revision ${newest.revision} is a draft and needs a manual release. ${stays}`),
       paragraphs(newest.warnings),
       h("p", {}, runLink(newest.run_id, "From run ")),
-      may("releaser") && h("p", { class: "buttons" }, this.#release(newest)),
+      may("releaser") && h("p", { class: "buttons" }, this.#release(newest, current)),
     );
   }
 
@@ -81,7 +101,7 @@ export class Calibrations {
         "p",
         { class: "downloads" },
         h("a", { href: file, download: "calibration.json", id: "calibration-json" }, "Calibration (JSON)"),
-        h("a", { href: `${file}&format=dcc`, download: "", id: "certificate-dcc" }, "Certificate (DCC)"),
+        h("a", { href: `${file}&format=dcc`, download: "", id: "certificate-dcc" }, "Preview certificate (DCC)"),
         certificate.buttons,
       ),
       certificate.error,
@@ -90,6 +110,7 @@ export class Calibrations {
   }
 
   #table(revisions) {
+    const current = revisions.find(({ status }) => status === "in_force");
     const rows = revisions.map((one) =>
       tableRow(
         one.revision,
@@ -97,28 +118,33 @@ export class Calibrations {
           statusPill(one.status.replace("_", " "), { "data-status": one.status }),
           [moment(one.issued_at), one.issued_by && ` by ${one.issued_by}`],
           runLink(one.run_id, "run "),
-          one.effects.map((name) => name.replaceAll("_", " ")).join(", ") || "–",
-          h("td", { class: "wrap" }, paragraphs([one.reason, ...one.warnings, ...one.stale].filter(Boolean))),
-          h("td", { class: "buttons" }, this.#actions(one)),
+          h("td", {}, rowFigures(one)),
+          h(
+            "td",
+            { class: "wrap" },
+            paragraphs([one.reason, ...one.warnings, ...one.acts.map(actInWords), ...one.stale].filter(Boolean)),
+          ),
+          h("td", { class: "buttons" }, this.#actions(one, current)),
         ],
         { class: one.status === "withdrawn" && "voided", "data-revision": one.revision },
       ),
     );
-    const names = ["Revision", "Status", "Issued", "From", "Effects applied", "Reason and warnings", ""];
+    const names = ["Revision", "Status", "Issued", "From", "Result", "Reasons and warnings", ""];
     return dataTable("Revisions of this unit's calibration", names, rows, { id: "revisions-table" });
   }
 
-  #actions(one) {
+  #actions(one, current) {
     if (!may("releaser")) return [];
     const withdrawn = "It is kept, struck through, and cannot be released again.";
     return [
-      (one.status === "draft" || one.status === "superseded") && this.#release(one),
+      (one.status === "draft" || one.status === "superseded") && this.#release(one, current),
       one.status !== "withdrawn" && this.#action("Withdraw", one.revision, withdrawn),
     ];
   }
 
-  #release({ revision, warnings }) {
-    const text = ["It comes into force and supersedes the current revision.", ...warnings].join(" ");
+  #release({ revision, warnings }, current) {
+    const superseded = current ? `revision ${current.revision}` : "nothing: no revision is in force";
+    const text = [`It comes into force and supersedes ${superseded}.`, ...warnings].join(" ");
     return this.#action("Release", revision, text);
   }
 
@@ -147,17 +173,56 @@ function none(revisions) {
   return h("p", { class: "muted" }, words);
 }
 
+/** What a revision says of the unit, and how far that is from the revision in force. */
+function rowFigures({ verdict, change, ...one }) {
+  const difference = (value, unit) => (isKnown(value) ? significant(value, 2, unit) : "not known");
+  const rows = [
+    isKnown(one.bias_std_deg) && ["Bias", plusMinus(one.bias_deg, one.bias_std_deg, "°")],
+    isKnown(one.scale_std) && ["Scale", plusMinus(one.scale, one.scale_std)],
+    one.effects.length && ["Effects", one.effects.map((name) => name.replaceAll("_", " ")).join(", ")],
+    ["U", isKnown(one.expanded_uncertainty_deg) ? significant(one.expanded_uncertainty_deg, 2, "°") : "not known"],
+    ["Verdict", (verdict.answer ?? "none").replaceAll("_", " ")],
+    change && [
+      `Less revision ${change.revision}`,
+      `bias ${difference(change.bias_deg, "°")}, scale ${difference(change.scale)}`,
+    ],
+  ];
+  return rows.filter(Boolean).map(([name, value]) => h("div", {}, `${name}: `, value));
+}
+
+function actInWords({ what, at, by, reason, supersedes }) {
+  const who = by ? ` by ${by}` : "";
+  const why = reason ? `: ${reason}` : "";
+  const instead = what === "withdrawn" ? "" : ` It superseded ${supersedes ? `revision ${supersedes}` : "nothing"}.`;
+  const said = `${who}${why}.${instead}`.replace("..", ".");
+  return [what === "withdrawn" ? "Withdrawn " : "Released ", moment(at), said];
+}
+
+const LEVEL_UNKNOWN = "as clamped: the level is not known";
+
+/** Whether a document is of a joint solution, which has all errors of the unit in its effects. */
+function isSolved(document) {
+  return "elevation_std_deg" in document;
+}
+
 function figures(document, verdict) {
   const [bias, scale] = document.covariance?.map((row, k) => Math.sqrt(row[k])) ?? [];
   const effects = document.effects.map(({ name, formula }) => h("div", { title: formula }, name.replaceAll("_", " ")));
   const expanded = document.expanded_uncertainty_deg;
   return [
     ["Revision", document.revision],
-    ["Bias", plusMinus(document.bias_deg, bias, "°")],
-    ["Scale", plusMinus(document.scale, scale)],
+    ...(isSolved(document)
+      ? [["Bias", document.level_known ? plusMinus(document.bias_deg, document.level_std_deg, "°") : LEVEL_UNKNOWN]]
+      : [
+          ["Bias", plusMinus(document.bias_deg, bias, "°")],
+          ["Scale", plusMinus(document.scale, scale)],
+        ]),
     ["Effects applied", effects.length ? effects : "none"],
-    ["RMS error, calibrated", significant(document.rms_calibrated_deg, 3, "°")],
     isKnown(document.rms_with_effects_deg) && ["RMS error, with effects", significant(document.rms_with_effects_deg, 3, "°")],
+    isKnown(document.rms_calibrated_deg) && [
+      isKnown(document.rms_with_effects_deg) ? "RMS error, plain fit" : "RMS error, calibrated",
+      significant(document.rms_calibrated_deg, 3, "°"),
+    ],
     [
       "Expanded uncertainty",
       expanded === null
@@ -170,4 +235,21 @@ function figures(document, verdict) {
     ["From run", runLink(document.run_id)],
     ["Verdict", h("span", { class: "words" }, verdict.says[0] ?? "no verdict")],
   ];
+}
+
+/** Buttons for `file`, the address of a revision, and a line for a refusal. */
+async function formats(file) {
+  const refusal = h("p", { class: "muted", role: "status", id: "format-refused" });
+  const fetched = async ({ name, file_name: fileName }) => {
+    fill(refusal);
+    try {
+      saveFile(new Blob([await getText(`${file}&format=${name}`)], { type: "text/plain" }), fileName);
+    } catch (error) {
+      fill(refusal, error.message);
+    }
+  };
+  const button = (format) =>
+    h("button", { type: "button", "data-format": format.name, on: { click: () => fetched(format) } }, format.title);
+  const buttons = (await getOnce("/api/calibration-formats")).map(button);
+  return [h("div", { class: "buttons formats" }, h("span", { class: "muted" }, "For other programs: "), buttons), refusal];
 }

@@ -36,7 +36,7 @@ function plotly() {
 export class Chart {
   #loads = 0;
 
-  constructor(testid, title, { tall = false, low = false, empty = EMPTY, signal } = {}) {
+  constructor(testid, title, { tall = false, low = false, empty = EMPTY, beside = null, signal } = {}) {
     this.plot = h("div", {
       class: ["plot", tall && "tall", low && "low"].filter(Boolean).join(" "),
       "data-testid": testid,
@@ -45,7 +45,7 @@ export class Chart {
     });
     this.problem = h("p", { class: "error", role: "alert", hidden: true });
     this.empty = h("p", { class: "muted", hidden: true }, empty);
-    const caption = h("figcaption", {}, title);
+    const caption = h("figcaption", {}, title, beside);
     this.element = h("figure", { class: "chart" }, caption, this.empty, this.plot, this.problem);
     DARK.addEventListener("change", () => this.figure && this.draw(this.figure), { signal });
     signal?.addEventListener("abort", () => window.Plotly?.purge(this.plot));

@@ -6,10 +6,10 @@ import { card, dataTable, fill, h, numberCell, runLink, suspectTag, tableRow, un
 import { isKnown, moment, plusMinus, range, significant } from "./format.js";
 
 const CHARTS = [
-  ["residuals", "Calibrated residual of each unit's latest run"],
-  ["bias", "Bias over time"],
-  ["scale", "Scale over time"],
-  ["rms", "RMS error, calibrated, over time"],
+  ["residuals", "Residual of each unit's latest run, plain fit"],
+  ["bias", "Bias over time, plain fit"],
+  ["scale", "Scale over time, plain fit"],
+  ["rms", "RMS error over time, plain fit"],
 ];
 
 const COLOURS = 8;
@@ -74,7 +74,8 @@ function summary({ units, spread, repeatability }, draw) {
       [
         largestChange(one),
         [one.due_at ? moment(one.due_at) : "–", one.overdue && tag("overdue")],
-        ...(latest ? figureCells(latest) : [h("td", { colspan: "6", class: "muted" }, "no valid completed run")]),
+        ...(one.in_force ? inForceCells(one.in_force) : [h("td", { colspan: "4", class: "muted" }, "none in force")]),
+        ...(latest ? runCells(latest) : [h("td", { colspan: "3", class: "muted" }, "no valid completed run")]),
         numberCell(one.runs.length.toLocaleString()),
         numberCell(isKnown(one.drift_deg_per_day) ? significant(one.drift_deg_per_day, 2, "°/day") : "–"),
       ],
@@ -83,10 +84,10 @@ function summary({ units, spread, repeatability }, draw) {
   });
   return card(
     "compare",
-    "Latest run of each unit",
+    "Calibration in force of each unit",
     h("p", { id: "compare-changed" }, h("strong", {}, repeatability.says)),
     colours.size > 0 && h("p", { class: "muted" }, COLOUR_HINT),
-    dataTable("Units compared", ["Unit", "Change between runs", "Due", ...FIGURES, "#Runs", "#Bias drift"], rows, {
+    dataTable("Units compared", ["Unit", "Change between runs", "Due", ...IN_FORCE, ...OF_RUN, "#Runs", "#Bias drift"], rows, {
       id: "compare-table",
     }),
     h(
@@ -122,7 +123,28 @@ function colourBoxes(units, draw) {
   return new Map(boxes.map((box) => [box.value, box]));
 }
 
-const FIGURES = ["Finished", "#Bias", "#Scale", "#RMS error, raw", "#RMS error, calibrated", "#Temperature"];
+const IN_FORCE = ["#Revision in force", "#Bias", "#Scale", "#RMS error, calibrated"];
+
+function inForceCells(one) {
+  return [
+    h("td", { title: one.effects.join(", ").replaceAll("_", " ") || "no effects" }, one.revision),
+    numberCell(isKnown(one.bias_deg) ? plusMinus(one.bias_deg, one.bias_std_deg, "°") : "–"),
+    numberCell(plusMinus(one.scale, one.scale_std)),
+    numberCell(significant(one.rms_deg, 3, "°")),
+  ];
+}
+
+const OF_RUN = ["Latest run", "#RMS error, raw", "#Temperature"];
+
+function runCells(run) {
+  return [
+    h("td", {}, moment(run.finished_at)),
+    numberCell(significant(run.rms_raw_deg, 3, "°")),
+    numberCell(range(run.temperature_c?.min, run.temperature_c?.max, 1, "°C")),
+  ];
+}
+
+const FIGURES = ["Finished", "#Bias, plain fit", "#Scale, plain fit", "#RMS error, raw", "#RMS error, plain fit", "#Temperature"];
 
 function figureCells(run) {
   return [

@@ -33,10 +33,13 @@ function decimalsFor(size, digits) {
   return Math.min(12, Math.max(0, digits - 1 - Math.floor(Math.log10(size))));
 }
 
+/** A standard error below it is rounding, and would be printed as twelve zeros. */
+const LEAST_STD = 1e-11;
+
 /** "0.812 ± 0.013°": both to the second digit of the standard error. */
 export function plusMinus(value, std, unit = "") {
   if (!isKnown(value)) return NOT_KNOWN;
-  if (!isKnown(std) || std <= 0) return significant(value, 4, unit);
+  if (!isKnown(std) || std < LEAST_STD) return significant(value, 4, unit);
   const decimals = decimalsFor(std, 2);
   return withUnit(`${fixed(value, decimals)} ± ${fixed(std, decimals)}`, unit);
 }

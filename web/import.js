@@ -6,6 +6,14 @@ import { CANCELLED, LongWork } from "./longwork.js";
 
 const ADDRESS = "/api/imports";
 const WORDS = { doing: "The service reads the file and fits its poses.", share: "it is done" };
+const KINDS = [
+  ["", "as stated, else harmonic"],
+  ["setting", "each pose anew"],
+  ["harmonic", "smooth error of the rotation"],
+  ["common", "common to all poses"],
+];
+const REFERENCE_HINT =
+  "Standard uncertainty (k = 1) of the reference angles. Default: that of the file, else of the rig. Without it, U is unknown.";
 
 export async function importView({ root, signal }) {
   const rigs = await get("/api/rigs", signal);
@@ -18,6 +26,8 @@ export async function importView({ root, signal }) {
   });
   const unit = serialInput();
   const rig = select({ id: "rig" }, [["", "no rig of this service"], ...rigs.map(({ name }) => name)]);
+  const std = h("input", { id: "reference-std", type: "number", min: "0", step: "any", "aria-describedby": "reference-hint" });
+  const kind = select({ id: "reference-kind" }, KINDS);
   const error = errorLine("import-error");
   const work = new LongWork("import", WORDS, signal);
   const state = h("p", { id: "import-told", class: "muted", role: "status" });
@@ -27,6 +37,13 @@ export async function importView({ root, signal }) {
     { class: "card start" },
     field("file", "CSV file", file),
     h("div", { class: "fields two" }, field("unit", "Serial number", unit), field("rig", "Measured on rig", rig)),
+    h(
+      "div",
+      { class: "fields two" },
+      field("reference-std", "Reference uncertainty (°)", std),
+      field("reference-kind", "Kind of reference error", kind),
+    ),
+    h("p", { class: "muted", id: "reference-hint" }, REFERENCE_HINT),
     work.element,
     error.element,
     h("div", { class: "buttons" }, submit, state),
@@ -41,9 +58,11 @@ export async function importView({ root, signal }) {
     body.set("file", file.files[0]);
     body.set("unit", unit.value);
     if (rig.value) body.set("rig", rig.value);
+    if (std.value) body.set("reference_std_deg", std.value);
+    if (kind.value) body.set("reference_kind", kind.value);
     return carryOut(work.send(ADDRESS, body));
   });
-  for (const input of [file, unit, rig]) input.addEventListener("input", () => error.say(null));
+  for (const input of [file, unit, rig, std, kind]) input.addEventListener("input", () => error.say(null));
   fill(root, h("h1", {}, "Import measured poses"), form, help());
   work.resumeWith(ADDRESS, submit, error, carryOut);
 }
@@ -58,6 +77,8 @@ const OPTIONAL = [
   "reading_stderr_deg",
   "n_samples",
   "accel_x_g",
+  "reference_std_deg",
+  "reference_kind",
 ];
 
 function help() {

@@ -1,7 +1,8 @@
 // A run's result: figures with standard errors, and the verdict.
 
 import { figureList, h, paragraphs, unitHref } from "./dom.js";
-import { NOT_KNOWN, isKnown, plusMinus, range, significant } from "./format.js";
+import { NOT_KNOWN, fixed, isKnown, plusMinus, range, significant } from "./format.js";
+import { headline, verifiedRms } from "./headline.js";
 
 // By the answer to the limits; without limits by the residual.
 const COLOURS = {
@@ -9,7 +10,7 @@ const COLOURS = {
   conditional_pass: "fair",
   conditional_fail: "fair",
   fail: "poor",
-  undecided: "fair",
+  undecided: "unknown",
   noise: "good",
   more_than_noise: "poor",
 };
@@ -35,7 +36,7 @@ export function resultCard(run) {
     h(
       "div",
       { class: "columns outcome" },
-      figureList(figures(run.result, run.plan?.mounts_deg)),
+      figureList(figures(run)),
       h(
         "div",
         { class: `verdict ${colour}`, "data-testid": "verdict" },
@@ -59,20 +60,50 @@ function posesOf({ n_poses: poses }, mounts) {
   return `${poses.toLocaleString()}, of the first mounting (${mounts[0]}°)`;
 }
 
-function figures(result, mounts) {
+function calibrated(result) {
+  const judged = headline(result);
+  return [
+    ["Bias", besideStage(judged.bias_deg, judged.bias_std_deg, result.reference?.bias_std_deg, "°")],
+    ["Scale", besideStage(judged.scale, judged.scale_std, result.reference?.scale_std)],
+    ["RMS error, raw", significant(result.rms_raw_deg, 3, "°")],
+    [judged.name, significant(judged.rms_deg, 3, "°")],
+  ];
+}
+
+/** What bias and scale alone give, of a result that has effects too. */
+function plainFit(result) {
+  if (headline(result).isPlain) return [];
+  return [
+    ["Plain fit: bias", plusMinus(result.bias_deg, result.bias_std_deg, "°")],
+    ["Plain fit: scale", plusMinus(result.scale, result.scale_std)],
+    ["Plain fit: RMS error", significant(result.rms_calibrated_deg, 3, "°")],
+  ];
+}
+
+/** Errors of indication: a verification applies a bias and a scale and measures neither. */
+function verified(result, revision) {
+  const { lowest_error_deg: lowest, highest_error_deg: highest, mean_error_deg: mean } = result.over_range ?? {};
+  const ends = lowest ? [Math.min(...lowest), Math.max(...highest)].map((end) => fixed(end, 3, "°")) : [NOT_KNOWN];
+  return [
+    ["Revision applied", revision ?? NOT_KNOWN],
+    ["Mean error of indication", fixed(mean, 3, "°")],
+    ["Errors of indication", ends.join(" to ")],
+    ["RMS error of indication", significant(verifiedRms(result), 3, "°")],
+    ["RMS error, raw", significant(result.rms_raw_deg, 3, "°")],
+  ];
+}
+
+function figures({ result, plan, provenance }) {
   const gyro = result.gyro;
   const temperature = result.temperature_c;
+  const isVerified = plan?.kind === "verification";
   const rows = [
-    ["Bias", besideStage(result.bias_deg, result.bias_std_deg, result.reference?.bias_std_deg, "°")],
-    ["Scale", besideStage(result.scale, result.scale_std, result.reference?.scale_std)],
-    ["RMS error, raw", significant(result.rms_raw_deg, 3, "°")],
-    ["RMS error, calibrated", significant(result.rms_calibrated_deg, 3, "°")],
+    ...(isVerified ? verified(result, provenance.verifies_revision) : calibrated(result)),
     ["Standard error of a reading", significant(result.noise_deg, 2, "°")],
-    ["Poses", posesOf(result, mounts)],
+    ["Poses", posesOf(result, plan?.mounts_deg)],
     ["Temperature", range(temperature?.min, temperature?.max, 1, "°C")],
+    ...(isVerified ? [] : plainFit(result)),
   ];
-  if (isKnown(result.rms_with_effects_deg))
-    rows.push(["RMS error, with effects", significant(result.rms_with_effects_deg, 3, "°")]);
   if (![gyro?.scale, ...(gyro?.bias_dps ?? [])].some(isKnown)) return [...rows, ["Gyro", NOT_KNOWN]];
   const bias = ["x", "y", "z"].map((axis, k) => [
     `Gyro bias ${axis}`,

@@ -5,6 +5,7 @@ import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { errorLine, fill, h, keepingFocus, runName, tableBox } from "./dom.js";
+import { isKnown } from "./format.js";
 import { hasNoHoming, wayOn } from "./interrupted.js";
 import { LivePanel, TERMINAL } from "./live.js";
 import { may } from "./me.js";
@@ -41,7 +42,14 @@ class RunPage {
     this.result = h("section", { id: "result", class: "card", hidden: true });
     this.diagnosis = new DiagnosisPanel(path, signal, () => this.#reread());
     this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal, empty: NO_TIMES });
-    this.residualChart = new Chart("residual", "Residual of each pose", { tall: true, signal, empty: "No pose has been measured." });
+    this.plain = h("input", { type: "checkbox", id: "plain-fit", on: { change: () => this.#otherFit() } });
+    this.plainField = h("label", { class: "toggle", hidden: true }, this.plain, " Plain fit of bias and scale");
+    this.residualChart = new Chart("residual", "Residual of each pose", {
+      tall: true,
+      signal,
+      empty: "No pose has been measured.",
+      beside: this.plainField,
+    });
     this.poses = new PoseTable(
       (pose) => askExclude(path, pose),
       (pose) => askInclude(path, pose),
@@ -158,6 +166,8 @@ class RunPage {
     const axis = run.plan?.mount_axis ?? run.provenance?.mount_axis ?? "x";
     const forSolve = !run.result && run.status === "completed" && axis !== "x";
     this.result.hidden = !run.result && !forSolve;
+    this.plainField.hidden = !isKnown(run.result?.rms_with_effects_deg);
+    if (this.plainField.hidden) this.plain.checked = false;
     if (run.result) fill(this.result, resultCard(run), downloads(run, this.path));
     else if (forSolve) fill(this.result, noResultAbout(axis), downloads(run, this.path));
     if (this.ended) this.diagnosis.show(run);
@@ -187,12 +197,25 @@ class RunPage {
   async #showMeasured() {
     clearTimeout(this.timer);
     const [poses] = await Promise.all([
-      get(`${this.path}/poses`, this.signal),
-      this.residualChart.load(`${this.path}/figures/residual`),
+      get(`${this.path}/poses${this.#fit}`, this.signal),
+      this.residualChart.load(`${this.path}/figures/residual${this.#fit}`),
       this.timelineChart.load(`${this.path}/figures/timeline`),
     ]);
     this.poses.show(poses, !this.run.voided && may("operator"));
     this.#countPoses();
+  }
+
+  /** Which residuals are shown: those that the verdict judges, or by bias and scale alone. */
+  get #fit() {
+    return this.plain.checked ? "?fit=plain" : "";
+  }
+
+  async #otherFit() {
+    try {
+      await this.#showMeasured();
+    } catch (error) {
+      this.#say(error);
+    }
   }
 
   #countPoses() {

@@ -3,6 +3,7 @@
 import { getRuns } from "./api.js";
 import { dataTable, errorLine, fill, h, numberCell, runLink, statusPill, suspectTag, unitLink } from "./dom.js";
 import { moment, plusMinus, significant } from "./format.js";
+import { headline, verifiedRms } from "./headline.js";
 import { runFilters, verdictWords } from "./runfilters.js";
 
 const PAGE = 20;
@@ -31,20 +32,23 @@ export function runRow(run, { withUnit = true } = {}) {
       run.verdict && h("small", { class: `under ${run.verdict.answer}` }, verdictWords(run.verdict)),
     ),
     h("td", {}, moment(run.finished_at ?? run.started_at ?? run.created_at)),
-    figures(run.result).map(numberCell),
+    figures(run).map(numberCell),
   );
 }
 
 const FIGURES = ["#Bias", "#Scale", "#RMS error, raw", "#RMS error, calibrated"];
 
-/** The values under `FIGURES`. */
-function figures(result) {
+/** The values under `FIGURES`, with accepted effects; a verification measures no bias and no scale. */
+function figures({ result, plan }) {
   if (!result) return FIGURES.map(() => "–");
+  const raw = significant(result.rms_raw_deg, 3, "°");
+  if (plan?.kind === "verification") return ["–", "–", raw, significant(verifiedRms(result), 3, "°")];
+  const judged = headline(result);
   return [
-    plusMinus(result.bias_deg, result.bias_std_deg, "°"),
-    plusMinus(result.scale, result.scale_std),
-    significant(result.rms_raw_deg, 3, "°"),
-    significant(result.rms_calibrated_deg, 3, "°"),
+    plusMinus(judged.bias_deg, judged.bias_std_deg, "°"),
+    plusMinus(judged.scale, judged.scale_std),
+    raw,
+    significant(judged.rms_deg, 3, "°"),
   ];
 }
 

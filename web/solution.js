@@ -33,6 +33,8 @@ const PARAMETERS = {
   y_mg_per_g3: ["Cubic term of y", "mg/g³"],
   z_mg_per_g2: ["Quadratic term of z", "mg/g²"],
   z_mg_per_g3: ["Cubic term of z", "mg/g³"],
+  y_mg_per_g4: ["Quartic term of y", "mg/g⁴"],
+  z_mg_per_g4: ["Quartic term of z", "mg/g⁴"],
   y_mg_per_c: ["Offset of y, per °C", "mg/°C"],
   z_mg_per_c: ["Offset of z, per °C", "mg/°C"],
   reference_c: ["At", "°C"],
@@ -149,7 +151,7 @@ function advice({ advice: advised, rig, units }) {
 }
 
 function figures({ before, final, noise, stage, held_out: heldOut, level_known: levelKnown, level_std_deg: level }) {
-  const { error_deg: error } = stage.map;
+  const error = stage.map.error_deg.filter((value) => value !== null);
   return figureList([
     ["Held-out RMS, without the map", significant(before.held_out_rms_deg, 3, "°")],
     ["Held-out RMS, with the map", significant(final.held_out_rms_deg, 3, "°")],

@@ -2,7 +2,9 @@
 
 import { get, post } from "./api.js";
 import {
+  attempt,
   card,
+  dataTable,
   errorLine,
   field,
   fill,
@@ -14,9 +16,9 @@ import {
   select,
   serialInput,
   statusPill,
+  tableBox,
 } from "./dom.js";
 import { planForm } from "./plan.js";
-import { portsLook } from "./ports.js";
 import { onRigs, standing } from "./rigs.js";
 import { runList } from "./runlist.js";
 import { stagePlace } from "./stageplace.js";
@@ -127,4 +129,44 @@ function keepFresh(rigList, runs, rigs, signal) {
     showRigs(rigList, now);
     runs.refresh();
   }, signal);
+}
+
+function portsLook() {
+  const error = errorLine("ports-error");
+  const shown = h("div", { "data-testid": "ports", "aria-live": "polite" });
+  const look = h("button", { type: "button", id: "look-at-ports" }, "Scan serial ports");
+  look.addEventListener("click", () => {
+    fill(shown, h("p", { class: "muted" }, "Scanning every port, about seven seconds…"));
+    const scan = async () => show(shown, await post("/api/rigs/scan"));
+    return attempt([look], error, scan, () => fill(shown));
+  });
+  return h(
+    "div",
+    {},
+    h("div", { class: "buttons" }, look),
+    h("p", { class: "muted" }, "Nothing moves. The scan resets boards that are not in a run."),
+    error.element,
+    shown,
+  );
+}
+
+function show(place, { found, stanza }) {
+  if (!found.length) return fill(place, h("p", { class: "muted" }, "No serial port found. Check the USB cable."));
+  fill(
+    place,
+    dataTable("Ports", ["Port", "Device", "Identity", "USB adapter"], found.map(row)),
+    stanza && h("p", { class: "muted" }, "For calrig.toml:"),
+    stanza && tableBox("For calrig.toml", h("pre", { "data-testid": "stanza" }, stanza)),
+  );
+}
+
+function row({ port, kind, driver, identity, usb_id, usb_serial }) {
+  return h(
+    "tr",
+    {},
+    h("td", {}, port),
+    h("td", {}, kind),
+    h("td", {}, driver ? `${driver}: ${identity}` : identity),
+    h("td", {}, [usb_id, usb_serial].filter(Boolean).join(", ")),
+  );
 }

@@ -1,12 +1,28 @@
 // The list of units, and one unit with its history.
 
-import { get, post, remove } from "./api.js";
+import { get, post, remove, serviceError } from "./api.js";
 import { confirmButton } from "./ask.js";
 import { Calibrations } from "./calibrations.js";
+import { certificateSearch } from "./certificate.js";
 import { Chart, NONE_VALID } from "./charts.js";
-import { attempt, card, dataTable, errorLine, fill, h, numberCell, runHref, select, solveHref, tableRow, unitLink } from "./dom.js";
-import { moment, plural } from "./format.js";
-import { unitHistory } from "./history.js";
+import {
+  attempt,
+  card,
+  dataTable,
+  errorLine,
+  fill,
+  h,
+  numberCell,
+  runHref,
+  runLink,
+  select,
+  solveHref,
+  statusPill,
+  tableRow,
+  unitLink,
+} from "./dom.js";
+import { fixed, isKnown, moment, plural, plusMinus, significant } from "./format.js";
+import { LongWork } from "./longwork.js";
 import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
 
@@ -30,6 +46,7 @@ export async function unitsView({ root, signal }) {
         : h("p", { class: "muted" }, "No units yet. A unit appears with its first run."),
       units.length > 1 && h("p", { class: "downloads" }, h("a", { href: "#/compare" }, "Compare units")),
     ),
+    units.length > 0 && card("find-certificate", "Find a certificate", certificateSearch(signal)),
   );
 }
 
@@ -38,7 +55,7 @@ export async function unitView({ root, parts: [serial], signal }) {
   const [unit, rigs] = await Promise.all([get(path, signal), get("/api/rigs", signal)]);
   const solvable = unit.runs.find((run) => run.result);
   const calibrations = new Calibrations(serial, signal);
-  const chart = new Chart("history", "Bias, scale and RMS error over time", { tall: true, signal, empty: NONE_VALID });
+  const chart = new Chart("history", "Bias, scale and RMS error over time, plain fit", { tall: true, signal, empty: NONE_VALID });
   const rows = unit.runs.map((run) => runRow(run, { withUnit: false }));
   fill(
     root,
@@ -96,4 +113,87 @@ function removal(serial, path, calibrations) {
   const removed = () => remove(path).then(() => (calibrations.unitIsGone = true));
   const leave = () => (location.hash = "#/units");
   return h("p", {}, confirmButton("Remove this empty unit…", question, removed, leave, { id: "remove-unit" }));
+}
+
+const LEAST_P = 0.0001;
+const SEARCH = { doing: "Diagnosing both runs together.", share: "the search" };
+
+/** A card that loads itself, and again after two runs have been diagnosed together. */
+function unitHistory(serial, signal) {
+  const path = `/api/units/${encodeURIComponent(serial)}`;
+  const body = h("div");
+  const error = errorLine("changes-error");
+  const work = new LongWork("both", SEARCH, signal);
+  const chart = new Chart("unit-chart", "Control chart: bias and scale since the unit last changed", { low: true, signal });
+  const element = card("changes", "Changes between runs", error.element, work.element, body);
+
+  async function read() {
+    const [unit, changes] = await Promise.all([get(path, signal), get(`${path}/changes`, signal)]);
+    const rows = changes.toReversed().map((change) => row(change, diagnoseBoth));
+    const drawn = changes.some((change) => isKnown(change.signal));
+    fill(
+      body,
+      due(unit),
+      rows.length
+        ? dataTable("Changes", HEADINGS, rows, { id: "changes-table" })
+        : h("p", { class: "muted" }, "Changes are evaluated from two valid calibrations on."),
+      drawn && chart.element,
+    );
+    if (drawn) await chart.load(`${path}/figures/chart`);
+  }
+
+  const say = (problem) => error.say(serviceError(problem, signal));
+
+  function diagnoseBoth({ from, to }) {
+    const address = `/api/runs/${encodeURIComponent(to)}/diagnosis`;
+    return attempt(body.querySelectorAll("button"), error, async () => {
+      if (await work.carryOut(address, { runs: [from] })) await read();
+    });
+  }
+
+  read().catch(say);
+  return element;
+}
+
+function due({ due_at: at, overdue, due_says: says }) {
+  return h(
+    "p",
+    { id: "due" },
+    h("strong", {}, "Due: "),
+    at ? moment(at) : "not known",
+    overdue && h("span", { class: "tag warns" }, "overdue"),
+    `: ${says}`,
+  );
+}
+
+const HEADINGS = ["From run", "To run", "Verdict", "Statement", "#Days", "#Bias", "#Scale", "#p"];
+const WORDS = { changed: "changed", unchanged: "unchanged", not_known: "not known" };
+
+function pValue(p) {
+  if (!isKnown(p)) return "–";
+  return p < LEAST_P ? `< ${LEAST_P}` : significant(p, 2);
+}
+
+function row(change, diagnoseBoth) {
+  const link = (id) => h("td", {}, runLink(id));
+  const untraced = change.verdict === "changed" && change.effects === null && may("operator");
+  const button = untraced && h("button", { type: "button" }, "Diagnose both");
+  if (button) button.addEventListener("click", () => diagnoseBoth(change));
+  return h(
+    "tr",
+    { "data-to": change.to },
+    link(change.from),
+    link(change.to),
+    h(
+      "td",
+      { class: "plain" },
+      statusPill(WORDS[change.verdict]),
+      change.signal && h("span", { class: "tag warns", title: "The control chart signals at this run." }, "chart"),
+    ),
+    h("td", { class: "wrap" }, change.says, button && h("div", { class: "buttons" }, button)),
+    numberCell(fixed(change.days, change.days < 10 ? 1 : 0)),
+    numberCell(plusMinus(change.bias_deg, change.bias_std_deg, "°")),
+    numberCell(plusMinus(change.scale, change.scale_std)),
+    numberCell(pValue(change.p_value)),
+  );
 }

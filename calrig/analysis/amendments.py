@@ -7,10 +7,12 @@ from functools import partial
 from pathlib import Path
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.imports import Imported, check_serial, provenance, read_and_fit
+from calrig.analysis.imports import Imported, ImportOrigin, check_serial, provenance, read_and_fit
+from calrig.analysis.joint_model import joint_of_rest
 from calrig.analysis.results import refitted
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
+from calrig.analysis.unit_of_work import Fits, in_one_transaction
 from calrig.export.poses_csv import CsvError
 from calrig.model.plan import CALIBRATING
 from calrig.store import Run, Store
@@ -34,22 +36,26 @@ class Records:
         rig: str | None,
         file_name: str,
         content: bytes,
+        origin: ImportOrigin | None = None,
         operator: str | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Run:
         """Makes a completed run of a CSV of poses (CONTRACT section 4); `progress` as of `read_and_fit`.
 
+        `origin` is that of the rig with its reference; None if no reference but the file's is known.
+
         Raises:
             Invalid: the serial is out of bounds or the file is bad; the message names line and column, and
                 nothing is stored.
         """
+        origin = origin or ImportOrigin(rig)
         try:
-            imported = self.question(unit, rig, content)(progress=progress)
+            imported = self.question(unit, origin, content)(progress=progress)
         except CsvError as error:
             raise Invalid(f"{file_name}: {error}") from error
         return self.keep_imported(imported, unit=unit, rig=rig, file_name=file_name, operator=operator)
 
-    def question(self, unit: str, rig: str | None, content: bytes | Path) -> Callable[..., Imported]:
+    def question(self, unit: str, origin: ImportOrigin, content: bytes | Path) -> Callable[..., Imported]:
         """What reads and fits a file of poses, here or in another process, or raises CsvError.
 
         It takes `progress`, as of `read_and_fit`.
@@ -58,7 +64,7 @@ class Records:
             Invalid: the serial is out of bounds.
         """
         check_serial(unit)
-        return partial(read_and_fit, content, unit, rig, self._store.effects.in_force(unit, rig))
+        return partial(read_and_fit, content, unit, origin, self._store.effects.in_force(unit, origin.rig))
 
     def keep_imported(
         self, imported: Imported, *, unit: str, rig: str | None, file_name: str, operator: str | None
@@ -74,6 +80,7 @@ class Records:
             operator=operator,
             provenance={
                 **provenance(operator),
+                **imported.origin,
                 "imported_from": file_name,
                 "mount_axis": imported.mount_axis,
                 "warnings": imported.warnings,
@@ -83,18 +90,36 @@ class Records:
         )
 
     def void(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
-        """Takes an ended run out of every comparison; it stays, with the reason."""
-        ended_run(self._store, run_id)
+        """Takes an ended run out of every comparison, and its effects out of force; it stays."""
         why = checked_reason(reason)
-        run = self._store.amendments.void(run_id, why, who=who)
-        return self._done(run, who, f"run {run_id} was voided: {why}")
+
+        def change(fits: Fits) -> Run:
+            ended_run(self._store, run_id)
+            run = self._store.amendments.void(run_id, why, who=who)
+            self.refit_effects(run, fits)
+            return self._done(run, who, f"run {run_id} was voided: {why}")
+
+        return in_one_transaction(self._store, change)
 
     def unvoid(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
         """Has a voided run count again."""
-        stored_run(self._store, run_id)
         why = checked_reason(reason)
-        run = self._store.amendments.unvoid(run_id, why, who=who)
-        return self._done(run, who, f"run {run_id} counts again: {why}")
+
+        def change(fits: Fits) -> Run:
+            stored_run(self._store, run_id)
+            run = self._store.amendments.unvoid(run_id, why, who=who)
+            self.refit_effects(run, fits)
+            return self._done(run, who, f"run {run_id} counts again: {why}")
+
+        return in_one_transaction(self._store, change)
+
+    def refit_effects(self, run: Run, fits: Fits) -> None:
+        """Put the model in force of what is accepted from those runs of a unit that are valid now."""
+        effects = self._store.effects
+        before = [one for one in effects.in_force(run.unit, None) if one.is_joint]
+        now = joint_of_rest(self._store, effects.acceptances(run.unit), fits)
+        if now != before:  # a model that is put in force once more would outdate every document of it
+            effects.replace_joint(run.unit, now)
 
     def note(self, run_id: str, note: str, *, who: str | None = None) -> Run:
         """Adds to what is noted of a run, at any time."""
@@ -119,7 +144,12 @@ class Records:
             Refused: an effect that was accepted from one is in force.
         """
         check_serial(unit)
-        run, why = ended_run(self._store, run_id), checked_reason(reason)
+        why = checked_reason(reason)
+        with self._store.transaction():
+            return self._move(run_id, unit, why, who)
+
+    def _move(self, run_id: str, unit: str, why: str, who: str | None) -> Run:
+        run = ended_run(self._store, run_id)
         if run.unit == unit:
             raise Conflict(f"run {run_id} is of unit {unit!r} already")
         of_unit, _ = self._store.runs.page(unit=run.unit, limit=2**31)
@@ -145,20 +175,22 @@ class Records:
 
     def exclude_pose(self, run_id: str, index: int, reason: str, *, who: str | None = None) -> Run:
         """Takes one pose out of an ended run's result, which is computed again; the pose stays."""
-        result = self._result_of(run_id, index, counts=False)
         why = checked_reason(reason)
-        run = self._store.amendments.exclude_pose(run_id, index, why, result=result, who=who)
-        return self._done(run, who, f"pose {index} of run {run_id} was excluded: {why}")
+        with self._store.transaction():
+            result = self._result_of(run_id, index, counts=False)
+            run = self._store.amendments.exclude_pose(run_id, index, why, result=result, who=who)
+            return self._done(run, who, f"pose {index} of run {run_id} was excluded: {why}")
 
     def include_pose(
         self, run_id: str, index: int, reason: str | None = None, *, who: str | None = None
     ) -> Run:
         """Has an excluded pose count again in the result, which is computed again."""
-        result = self._result_of(run_id, index, counts=True)
         why = None if reason is None else checked_reason(reason)
-        run = self._store.amendments.include_pose(run_id, index, why, result=result, who=who)
         said = f"pose {index} of run {run_id} counts again"
-        return self._done(run, who, said if why is None else f"{said}: {why}")
+        with self._store.transaction():
+            result = self._result_of(run_id, index, counts=True)
+            run = self._store.amendments.include_pose(run_id, index, why, result=result, who=who)
+            return self._done(run, who, said if why is None else f"{said}: {why}")
 
     def _result_of(self, run_id: str, index: int, *, counts: bool) -> Document | None:
         """The result of an ended run once one of its poses counts, or does not."""

@@ -4,27 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.results import as_applied, pose_residuals_deg, rest_on_map
 from calrig.analysis.stored_runs import axis_of, stored_run
+from calrig.calibration.effects import effect_of
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose
-from calrig.calibration.regression import ApplyError
+from calrig.calibration.regression import TEMPERATURE, ApplyError
 from calrig.calibration.results import (
     AppliedEffect,
     FittedResult,
-    apply_calibration,
+    Promise,
     as_clamped,
+    basis_of_poses,
     corrected_residuals_deg,
+    of_line_alone,
     own_effect,
+    verify,
 )
 from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_document import line_of
 from calrig.model.plan import CALIBRATING
-from calrig.model.result import Gyro, ReferenceFigures
+from calrig.model.result import Gyro, ReferenceFigures, Result
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
 from calrig.store.records import Document, reference_of
@@ -99,7 +103,7 @@ def changed_since(
         return said
     if sorted(excluded) != revision.basis["excluded"]:
         then, now = _poses(revision.basis["excluded"]), _poses(excluded)
-        said.append(f"Excluded poses of run {run.id} were {then} and are {now}.")
+        said.append(f"Poses of run {run.id} excluded when it was issued: {then}; now: {now}.")
     used, now_accepted = revision.basis["effects"], {str(e.id): e for e in accepted}
     chosen = revision.basis["chosen"]
     gone = sorted(name for key, name in used.items() if key not in now_accepted)
@@ -115,7 +119,7 @@ def changed_since(
 
 
 def _poses(indices: Sequence[int]) -> str:
-    return ", ".join(str(index) for index in sorted(indices)) or "none"
+    return ", ".join(f"no. {index}" for index in sorted(indices)) or "none"
 
 
 Wanted = int | Literal["latest"] | None
@@ -172,19 +176,24 @@ class ActiveCalibration:
     reference: ReferenceFigures | None
     of_rig: Sequence[AppliedEffect] = ()
     clamped_anew: bool = False
+    promise: Promise | None = None
 
     def result(self, poses: Sequence[Pose], gyro: Gyro | None) -> FittedResult:
         """What it leaves of fresh poses; without the effects where the poses lack what they need."""
         try:
-            return self._applied(poses, gyro, self._beside(poses))
+            return self._applied(poses, gyro, self._beside(poses), self.promise)
         except ApplyError:
-            return self._applied(poses, gyro, ())
+            return self._applied(poses, gyro, (), of_line_alone(self.promise))
 
     def _applied(
-        self, poses: Sequence[Pose], gyro: Gyro | None, effects: Sequence[AppliedEffect]
+        self,
+        poses: Sequence[Pose],
+        gyro: Gyro | None,
+        effects: Sequence[AppliedEffect],
+        promise: Promise | None,
     ) -> FittedResult:
-        return apply_calibration(
-            poses, gyro, self.line, effects, self.reference, clamped_anew=self.clamped_anew
+        return verify(
+            poses, gyro, self.line, effects, self.reference, promise, clamped_anew=self.clamped_anew
         )
 
     def _beside(self, poses: Sequence[Pose]) -> Sequence[AppliedEffect]:
@@ -207,7 +216,9 @@ class ActiveCalibration:
         return corrected_residuals_deg(poses, line, effects)
 
 
-def active_calibration(store: Store, unit: str, rig: str | None, number: int | None) -> ActiveCalibration:
+def active_calibration(
+    store: Store, unit: str, rig: str | None, number: int | None, *, is_tested: bool = True
+) -> ActiveCalibration:
     """The revision that a verification of a unit applies: bias, scale and effects as the document has them.
 
     The errors of the rig that it is made on are taken out beside: they are the stage's, not the unit's.
@@ -217,6 +228,7 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
         unit: serial number.
         rig: that the verification is made on.
         number: of the revision; None for the one in force.
+        is_tested: whether fresh poses are to be tested, which needs the poses behind the revision.
 
     Raises:
         Conflict: the unit has none such.
@@ -227,11 +239,71 @@ def active_calibration(store: Store, unit: str, rig: str | None, number: int | N
         raise Conflict(f"unit {unit!r} has no {which} to verify: calibrate it first")
     document = found.document
     of_unit = [own_effect(e["name"], e["parameters"]) for e in document["effects"]]
-    of_rig = as_applied([e for e in store.effects.in_force(unit, rig) if e.unit is None])
+    accepted = store.effects.in_force(unit, rig)
+    of_rig = as_applied([e for e in accepted if e.unit is None])
     reference = _reference(document)
     solved = "solution" in document["provenance"] and not document["level_known"]
     line = line_of(document)
-    return ActiveCalibration(found.revision, found.run_id, line, of_unit, reference, of_rig, solved)
+    return ActiveCalibration(
+        found.revision,
+        found.run_id,
+        line,
+        of_unit,
+        reference,
+        of_rig,
+        solved,
+        _promise(store, found, accepted, rig, line, of_unit) if is_tested else None,
+    )
+
+
+def _promise(
+    store: Store,
+    found: Revision,
+    accepted: Sequence[AcceptedEffect],
+    rig: str | None,
+    line: Line,
+    of_unit: Sequence[AppliedEffect],
+) -> Promise:
+    """Return the ranges of a revision, and the poses that its covariance follows from.
+
+    Those are of its own run and of every other run that one of its effects was accepted from. Where a term of
+    the temperature was fitted over several runs, the calibrated temperatures are those of all of them.
+    """
+    document = found.document
+    warmth = document.get("temperature_c") or {}
+    ends = warmth.get("min"), warmth.get("max")
+    promise = Promise(
+        range_deg=(document["range_deg"][0], document["range_deg"][1]),
+        temperature_c=None if ends[0] is None or ends[1] is None else (ends[0], ends[1]),
+        same_stage=document["rig"] is not None and document["rig"] == rig,
+    )
+    if "solution" in found.basis:
+        return promise
+    names = {name for name, _ in of_unit}
+    of_names = [one for one in accepted if one.unit is not None and one.name in names]
+    others = {run_id for one in of_names for run_id in one.rests_on}
+    run_ids = [found.run_id, *sorted(others - {found.run_id})]
+    runs = [[one.pose for one in store.poses.of(run_id, include_excluded=False)] for run_id in run_ids]
+    over = {
+        run_id
+        for one in of_names
+        if one.is_joint and own_effect(one.name, one.parameters) in of_unit
+        if effect_of(one.name).covariate is TEMPERATURE
+        for run_id in one.rests_on
+    }
+    if promise.temperature_c is not None:
+        of_runs = [p.temperature_c for k, run_id in enumerate(run_ids) if run_id in over for p in runs[k]]
+        known_c = [one for one in of_runs if one is not None] + [*promise.temperature_c]
+        promise = replace(promise, temperature_c=(min(known_c), max(known_c)))
+    # errors of the rig are in the readings of all runs alike, and lie within their scatter
+    of_rig = as_applied(
+        [one for one in store.effects.in_force(found.unit, document["rig"]) if one.unit is None]
+    )
+    beside = () if rest_on_map(runs[0]) else of_rig
+    result = stored_run(store, found.run_id).result
+    noise_deg = None if result is None else result.noise_deg
+    basis = basis_of_poses(runs, line, of_unit, noise_deg, of_rig=beside)
+    return replace(promise, basis=basis)
 
 
 def _reference(document: Document) -> ReferenceFigures | None:
@@ -251,13 +323,65 @@ def _reference(document: Document) -> ReferenceFigures | None:
     )
 
 
-def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None]:
-    """What is left of each pose of a run, degrees.
+Fit = Literal["verdict", "plain"]
+"""Of residuals: what the verdict judges, or what bias and scale alone leave (of a verification: its own)."""
 
-    Of a verification, by the revision that it applied, effects taken out; of any other run, by its own bias
-    and scale. None throughout before there is a result.
-    """
+
+def residuals_of(store: Store, run: Run, poses: Sequence[Pose], fit: Fit) -> list[float | None]:
+    """Return the residual of each pose of a run by either model, degrees; as `left_of_poses_deg`."""
+    if fit == "verdict" or run.result is None:
+        return left_of_poses_deg(store, run, poses)
     number = run.provenance.get("verifies_revision")
     if number is None or store.revisions.get(run.unit, number) is None:
         return pose_residuals_deg(run, poses)
-    return active_calibration(store, run.unit, run.rig, number).left_deg(poses)
+    applied = active_calibration(store, run.unit, run.rig, number, is_tested=False)
+    return replace(applied, effects=[], of_rig=[]).left_deg(poses)
+
+
+def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None]:
+    """Return the residual that a run's verdict judges, of each pose, degrees.
+
+    Of a verification, by the revision that it applied, effects taken out; of any other run, by its bias and
+    scale, with the effects that its result has. None throughout before there is a result.
+
+    Args:
+        store: where they are.
+        run: it.
+        poses: of the run; of one with effects, all of them, because some effects depend on the pose before.
+    """
+    number = run.provenance.get("verifies_revision")
+    if number is None or store.revisions.get(run.unit, number) is None:
+        return _with_effects_deg(store, run, poses) or pose_residuals_deg(run, poses)
+    return active_calibration(store, run.unit, run.rig, number, is_tested=False).left_deg(poses)
+
+
+def _with_effects_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[float | None] | None:
+    """Return the residuals by the line and the effects of a run's result; None of one without effects."""
+    result = run.result
+    if result is None or result.rms_with_effects_deg is None or result.over_range is None:
+        return None
+    found = result.over_range
+    line = Line(found.bias_deg, found.scale, None, None, None, None)
+    of_unit, of_rig = _effects_of_result(store, run, result)
+    try:  # a map has the rig's effects in it
+        left_deg = corrected_residuals_deg(poses, line, of_unit if rest_on_map(poses) else of_unit + of_rig)
+    except ApplyError:
+        return None
+    return [left if math.isfinite(left) else None for left in left_deg.tolist()]
+
+
+def _effects_of_result(
+    store: Store, run: Run, result: Result
+) -> tuple[list[AppliedEffect], list[AppliedEffect]]:
+    """Return the effects of the unit and of the rig that a run's result has.
+
+    They are those of the run's newest revision with this result; of a run without one, those in force.
+    """
+    for one in store.revisions.of(run.unit):
+        if one.run_id == run.id and one.document["rms_with_effects_deg"] == result.rms_with_effects_deg:
+            used = store.effects.by_id([int(number) for number in one.basis["effects"]])
+            of_unit = [own_effect(e["name"], e["parameters"]) for e in one.document["effects"]]
+            return of_unit, as_applied([effect for effect in used if effect.unit is None])
+    accepted = store.effects.in_force(run.unit, run.rig)
+    own = as_applied([effect for effect in accepted if effect.unit is not None])
+    return own, as_applied([effect for effect in accepted if effect.unit is None])

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import datetime
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.noise_studies import noise_of_unit
 from calrig.analysis.results import rest_on_map
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.solution_drafts import gone_since, solution_changes, solved_poses
 from calrig.analysis.stored_runs import stored_run
-from calrig.errors import WorkError
 from calrig.export.archive.contents import unit_archive
-from calrig.export.certificate.content import Certificate
+from calrig.export.archive.layout import certificate_name
+from calrig.export.certificate.content import Certificate, Issue
 from calrig.export.certificate.making import Sources, certificate_of
-from calrig.export.certificate.pdf import Attached, CannotPrintError, pdf_of
+from calrig.export.certificate.pdf import (
+    Attached,
+    CannotPrintError,
+    RendererMissingError,
+    pdf_of,
+    require_renderer,
+)
 from calrig.export.dcc.document import dcc_of
 from calrig.export.dcc.signing import signed
 from calrig.export.formats import CalibrationExporter, NoiseExporter
@@ -26,6 +34,7 @@ from calrig.figures.svg import residual_steps, svg_of
 from calrig.laboratory import LaboratorySettings
 from calrig.model.verdict import Limit
 from calrig.store import AcceptedEffect, Run, Store
+from calrig.store.certificates import Form, IssuedCertificate
 from calrig.store.issued import Revision
 from calrig.store.records import Document, StoredPose
 from calrig.store.trail import Entry, What
@@ -33,8 +42,10 @@ from calrig.store.trail import Entry, What
 EVERY_ENTRY = 1_000_000
 
 
-def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings) -> Certificate:
-    """The content of a revision's certificate."""
+def certificate(
+    store: Store, revision: Revision, laboratory: LaboratorySettings, issue: Issue | None = None
+) -> Certificate:
+    """The content of a revision's certificate; without `issue` of a preview."""
     run = stored_run(store, revision.run_id)
     entries, poses = _entries(store, revision), _poses(store, revision, run)
     before = _before(store, revision, entries)
@@ -45,13 +56,14 @@ def certificate(store: Store, revision: Revision, laboratory: LaboratorySettings
             poses=poses,
             laboratory=laboratory,
             before=before,
-            came_with=_came_with(store, revision, before),
+            came_with=_came_with(store, revision, run),
             of_stage=[] if rest_on_map([one.pose for one in poses]) else _of_stage(store, revision),
             limit=_limit(store, revision),
             entries=entries,
             gone=_gone(store, revision, run),
             item=store.items.of(revision.unit, (run.finished_at or run.created_at).date()),
-        )
+        ),
+        issue,
     )
 
 
@@ -86,13 +98,20 @@ def _before(store: Store, revision: Revision, entries: Sequence[Entry]) -> Revis
     return None if number is None else store.revisions.get(revision.unit, number)
 
 
-def _came_with(store: Store, revision: Revision, before: Revision | None) -> Revision | None:
-    """The last one in force before it that is of another run: the unit's calibration as found."""
-    seen = {revision.revision}
-    while before is not None and before.run_id == revision.run_id and before.revision not in seen:
-        seen.add(before.revision)
-        before = _before(store, before, _entries(store, before))
-    return None if before is None or before.run_id == revision.run_id else before
+def _came_with(store: Store, revision: Revision, run: Run) -> Revision | None:
+    """The revision that was in force when the run began, by which the unit is found; None if none was."""
+    what: tuple[What, ...] = ("released", "withdrawn")
+    in_force: int | None = None
+    for entry in store.trail.entries(unit=revision.unit, what=what, limit=EVERY_ENTRY):
+        if entry.at > (run.started_at or run.created_at):
+            break
+        if entry.act.unit != revision.unit:
+            continue  # of a run that was moved away
+        if entry.act.what == "released":
+            in_force = entry.act.revision
+        elif in_force == entry.act.revision:
+            in_force = None
+    return None if in_force is None else store.revisions.get(revision.unit, in_force)
 
 
 def _of_stage(store: Store, revision: Revision) -> list[AcceptedEffect]:
@@ -123,68 +142,137 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     )
 
 
-def certificate_dcc(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
-    """A revision's certificate as a DCC, signed where the laboratory has a key.
+Heavy = Callable[[Callable[[], bytes]], bytes]
+"""Carries out what takes seconds, in a process of its own or here."""
+
+
+def _here(function: Callable[[], bytes]) -> bytes:
+    return function()
+
+
+def certificate_dcc(
+    store: Store, revision: Revision, laboratory: LaboratorySettings, issue: Issue | None = None
+) -> bytes:
+    """A revision's certificate as a DCC, signed where the laboratory has a key; without `issue` a preview.
 
     Raises:
         SignerMissingError: what signs is not installed.
         WorkError: key and certificate cannot be signed with.
     """
-    made = dcc_of(certificate(store, revision, laboratory), revision.text.encode(), laboratory.country)
+    return _signed_dcc(certificate(store, revision, laboratory, issue), revision, laboratory)
+
+
+def _signed_dcc(said: Certificate, revision: Revision, laboratory: LaboratorySettings) -> bytes:
+    made = dcc_of(said, revision.text.encode(), laboratory.country)
     if laboratory.signing_key is None or laboratory.signing_certificate is None:
         return made
     return signed(made, Path(laboratory.signing_key), Path(laboratory.signing_certificate))
 
 
-def certificate_pdf(store: Store, revision: Revision, laboratory: LaboratorySettings) -> bytes:
-    """A revision's certificate as PDF/A-3, the calibration document inside.
+def certificate_pdf(
+    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: Heavy = _here
+) -> bytes:
+    """A preview of a revision's certificate as PDF/A-3, the calibration document and its DCC inside.
 
     Raises:
         RendererMissingError: what makes PDFs is not installed.
         Conflict: something that it says cannot be printed, and what.
     """
     said = certificate(store, revision, laboratory)
+    return _pdf(said, _signed_dcc(said, revision, laboratory), revision, laboratory, carried_out)
+
+
+def _pdf(
+    said: Certificate, dcc: bytes, revision: Revision, laboratory: LaboratorySettings, carried_out: Heavy
+) -> bytes:
+    require_renderer()  # before a process is asked
     found = said.residuals
     steps = [(step.title, step.left_deg) for step in found.steps]
     picture = svg_of(residual_steps(found.elevation_deg, found.approach, steps))
     document = revision.text.encode()
     attached = [
         Attached("calibration.json", document, "application/json", "The calibration document as issued"),
-        Attached(
-            "certificate.xml",
-            dcc_of(said, document, laboratory.country),
-            "application/xml",
-            "This certificate as a DCC",
-        ),
+        Attached("certificate.xml", dcc, "application/xml", "This certificate as a DCC"),
     ]
     try:
-        return pdf_of(said, picture, attached, laboratory)
+        return carried_out(partial(pdf_of, said, picture, attached, laboratory))
     except CannotPrintError as error:
         raise Conflict(f"revision {revision.revision} of unit {revision.unit!r}: {error}") from error
 
 
-def archive_of(store: Store, serial: str, laboratory: LaboratorySettings) -> Iterator[bytes]:
-    """The archive, piece by piece.
+def issue_certificate(
+    store: Store,
+    revision: Revision,
+    laboratory: LaboratorySettings,
+    *,
+    by: str | None = None,
+    replaces: str | None = None,
+    reason: str | None = None,
+    carried_out: Heavy = _here,
+) -> IssuedCertificate:
+    """Issue the certificate of a revision: its bytes and its entry in the trail are kept for ever.
 
     Args:
-        store: where the unit is.
-        serial: of the unit.
-        laboratory: who issues its certificates, as PDF too where that can be made here. They are unsigned:
-            not every signature is the same once more.
+        store: where the revision is.
+        revision: not a draft.
+        laboratory: who issues it; its settings are kept beside.
+        by: who issues it; None where nobody is known by name.
+        replaces: number of the certificate that it corrects.
+        reason: why that is corrected.
+        carried_out: carries out the typesetting.
+
+    Raises:
+        Invalid: it replaces one and no reason is given.
+        Unknown: there is no certificate of that number.
+        Conflict: the revision is a draft or withdrawn, or the certificate was replaced already.
+        WorkError: it cannot be signed with the laboratory's key.
+    """
+    if revision.status in ("draft", "withdrawn"):
+        state = "a draft: release it first" if revision.status == "draft" else "withdrawn"
+        raise Conflict(f"revision {revision.revision} of unit {revision.unit!r} is {state}")
+    if replaces is not None and not (reason or "").strip():
+        raise Invalid("a certificate that replaces another needs the reason", fields=("reason",))
+    issue = Issue(datetime.now(UTC), by, replaces, reason, *store.trail.head())
+    said = certificate(store, revision, laboratory, issue)
+    dcc = _signed_dcc(said, revision, laboratory)
+    try:
+        pdf = _pdf(said, dcc, revision, laboratory, carried_out)
+    except RendererMissingError:
+        pdf = None
+    issued = IssuedCertificate(
+        number=said.number,
+        unit=revision.unit,
+        revision=revision.revision,
+        issued_at=issue.at,
+        issued_by=by,
+        replaces=replaces,
+        reason=reason,
+        settings=laboratory.model_dump(mode="json"),
+        sha256={
+            "pdf": None if pdf is None else hashlib.sha256(pdf).hexdigest(),
+            "dcc": hashlib.sha256(dcc).hexdigest(),
+            "json": hashlib.sha256(revision.text.encode()).hexdigest(),
+        },
+        trail_seq=issue.trail_seq,
+        trail_sha256=issue.trail_sha256,
+    )
+    return store.certificates.add(issued, pdf, dcc)
+
+
+def archive_of(store: Store, serial: str) -> Iterator[bytes]:
+    """The archive, piece by piece, with every certificate that was issued.
 
     Raises:
         Unknown: there is no such unit; at once.
     """
     if store.units.get(serial) is None:
         raise Unknown(f"there is no unit {serial!r}")
-    unsigned = laboratory.model_copy(update={"signing_key": None, "signing_certificate": None})
 
-    def certificates(revision: Revision) -> Iterator[tuple[str, bytes]]:
-        yield "xml", certificate_dcc(store, revision, unsigned)
-        try:
-            yield "pdf", certificate_pdf(store, revision, unsigned)
-        except (WorkError, Conflict):
-            return  # no typst here, or no font for a character: the XML says the same
+    def certificates(numbers: Sequence[str]) -> Iterator[tuple[str, bytes]]:
+        for number in numbers:
+            for form in get_args(Form):
+                if (content := store.certificates.content(number, form)) is not None:
+                    yield certificate_name(number, form), content
 
     return unit_archive(store, serial, Issuer(store).listed, certificates)
 

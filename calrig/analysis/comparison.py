@@ -21,6 +21,7 @@ from calrig.calibration.histories import (
     drift_deg_per_day,
 )
 from calrig.store import ComparisonRow, Store
+from calrig.store.issued import Revision
 
 Row = dict[str, Any]
 
@@ -56,13 +57,43 @@ def compared_runs(store: Store, serials: Sequence[str] | None, found: Histories)
     return units
 
 
-def comparison(found: Histories, units: Mapping[str, Sequence[Row]], due: DueDates) -> Row:
-    """CONTRACT section 2's comparison of what `compared_runs` gives, the units that changed first."""
+def figures_in_force(store: Store, serials: Sequence[str] | None) -> dict[str, Row]:
+    """Return the figures of each unit's revision in force, by serial number; of all units for None."""
+    return {one.unit: _figures(one) for one in store.revisions.all_in_force(serials)}
+
+
+def _figures(revision: Revision) -> Row:
+    document = revision.document
+    is_solved = "elevation_std_deg" in document
+    stds: list[float | None] = [None, None]
+    if document["covariance"] is not None and not is_solved:
+        stds = [math.sqrt(max(document["covariance"][k][k], 0.0)) for k in range(2)]
+    with_effects = document["rms_with_effects_deg"]
+    return {
+        "revision": revision.revision,
+        "run_id": revision.run_id,
+        "bias_deg": document["bias_deg"] if document["level_known"] or not is_solved else None,
+        "bias_std_deg": document["level_std_deg"] if is_solved else stds[0],
+        "scale": document["scale"],
+        "scale_std": stds[1],
+        "rms_deg": document["rms_calibrated_deg"] if with_effects is None else with_effects,
+        "effects": [effect["name"] for effect in document["effects"]],
+    }
+
+
+def comparison(
+    found: Histories, units: Mapping[str, Sequence[Row]], due: DueDates, in_force: Mapping[str, Row]
+) -> Row:
+    """CONTRACT section 2's comparison of what `compared_runs` gives, the units that changed first.
+
+    `in_force` is that of `figures_in_force`.
+    """
     significance, most = _significance(found)
     drifting = [
         {
             "unit": serial,
             "runs": runs,
+            "in_force": in_force.get(serial),
             "drift_deg_per_day": _drift(runs),
             "p_value": significance.get(serial),
             "changed": serial in most and bool(found.changes.changed[most[serial]]),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.results import refitted
+from calrig.analysis.joint_model import joint_of_accepting, joint_of_rest, known_stds
+from calrig.analysis.results import as_applied, refitted
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import (
     checked_reason,
@@ -18,10 +20,12 @@ from calrig.analysis.stored_runs import (
     runs_together,
     stored_run,
 )
+from calrig.analysis.unit_of_work import Fits, in_one_transaction
 from calrig.calibration.diagnosis import PartialResidual, partial_residuals, trace
 from calrig.calibration.effects import EFFECTS
-from calrig.calibration.poses import DiagnosisError
-from calrig.calibration.regression import DiagnosisRequest
+from calrig.calibration.poses import DiagnosisError, Pose
+from calrig.calibration.regression import ApplyError, DiagnosisRequest
+from calrig.calibration.results import own_effect, poses_without_effects
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Run
 
@@ -54,7 +58,8 @@ class Diagnoses:
         runs = runs_together(self._store, run_id, more)
         latest = runs[-1]
         return partial(
-            trace,
+            traced,
+            self._in_force(runs),
             poses_together(self._store, runs),
             [run.id for run in runs],
             request=request or last_request(latest),
@@ -88,11 +93,20 @@ class Diagnoses:
         decided_on = _decided_on(run) if runs else None
         latest = self._store.poses.of(run_id, include_excluded=False)
         runs.append([s.pose for s in latest if decided_on is None or s.index in decided_on])
+        taken = [own_effect(one["name"], one["parameters"]) for one in found.get("in_force", [])]
         try:
             request = DiagnosisRequest.of_document(found)
-            return partial_residuals(runs, found["effects"], found["runs"], request)
-        except DiagnosisError as error:
+            left = [poses_without_effects(poses, taken) for poses in runs] if taken else runs
+            return partial_residuals(left, found["effects"], found["runs"], request)
+        except (DiagnosisError, ApplyError) as error:
             raise Conflict(f"run {run_id}: {error}") from error
+
+    def _in_force(self, runs: Sequence[Run]) -> list[AcceptedEffect]:
+        """The unit's effects in force that were accepted from other runs than these."""
+        unit, ids = runs[-1].unit, {run.id for run in runs}
+        own = {one.name for one in self._store.effects.acceptances(unit) if one.run_id in ids}
+        in_force = self._store.effects.in_force(unit, None)
+        return [one for one in in_force if one.unit is not None and one.name not in own]
 
     def _deciding(self, run: Run) -> list[int] | None:
         """Places, among the poses of a follow-up that count, of those that served to decide."""
@@ -103,16 +117,46 @@ class Diagnoses:
         return [place for place, stored in enumerate(counting) if stored.index in decided_on]
 
 
+def traced(
+    in_force: Sequence[AcceptedEffect], runs: Sequence[Sequence[Pose]], run_ids: Sequence[str], **how: Any
+) -> dict[str, Any]:
+    """The diagnosis of poses once the effects in force for their unit are taken out of them; as `trace`.
+
+    The document lists these under `in_force`. Where the poses lack what one is a function of, none is taken
+    out and a warning says so.
+    """
+    taken = as_applied(in_force)
+    try:
+        left = [poses_without_effects(poses, taken) for poses in runs] if taken else runs
+    except ApplyError as error:
+        found = trace(runs, run_ids, **how)
+        names = ", ".join(name for name, _ in taken)
+        warning = f"effects in force are not taken out ({names}): {error}"
+        return {**found, "in_force": [], "warnings": [*found["warnings"], warning]}
+    listed = [{"name": e.name, "parameters": e.parameters, "runs": e.rests_on} for e in in_force]
+    return {**trace(left, run_ids, **how), "in_force": listed}
+
+
 def _decided_on(run: Run) -> list[int] | None:
     """Indices of the poses of a follow-up that served to decide; None for any other run."""
     return (run.provenance.get("follow_up") or {}).get("decided_on")
 
 
 def _keep_accepted(before: dict[str, Any] | None, found: dict[str, Any]) -> None:
-    """An effect found once more with the very same values has been accepted; with others it has not."""
-    for earlier in [] if before is None else before["effects"]:
+    """An effect found once more with the very same values has been accepted; with others it has not.
+
+    Where effects of other runs are in force, they move the values of these poses as they are fitted again.
+    """
+    if before is None:
+        return
+    refitted = bool(found.get("in_force")) and before.get("runs") == found["runs"]
+    names = Counter(effect["name"] for document in (before, found) for effect in document["effects"])
+    for earlier in before["effects"]:
         for effect in found["effects"]:
-            if all(effect[key] == earlier[key] for key in ("name", "origin", "parameters")):
+            is_one = all(effect[key] == earlier[key] for key in ("name", "origin"))
+            moved = refitted and names[effect["name"]] == 2  # of several of one name none knows its like
+            is_same = moved or effect["parameters"] == earlier["parameters"]
+            if is_one and is_same:
                 effect["accepted_at"] = earlier.get("accepted_at")
 
 
@@ -126,12 +170,17 @@ class Acceptance:
     def accept(self, run_id: str, names: Sequence[str], *, who: str | None = None) -> Run:
         """Puts named effects of a run's diagnosis in force: the unit's own for it, the stage's for the rig.
 
-        Of several of one name, such as the orders of a turn, all that can be accepted.
+        Of several of one name, such as the orders of a turn, all that can be accepted. The unit's are fitted
+        together with those accepted from its other runs, over the poses of all of them.
 
         Raises:
             Unknown: no such run, or it has not been diagnosed.
-            Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for.
+            Conflict: an effect is not in the diagnosis, or is none that later runs could be corrected for;
+                or one of the runs would be predicted worse than before.
         """
+        return in_one_transaction(self._store, lambda fits: self._accept(run_id, names, who, fits))
+
+    def _accept(self, run_id: str, names: Sequence[str], who: str | None, fits: Fits) -> Run:
         run, diagnosis = stored_run(self._store, run_id), Diagnoses(self._store).last(run_id)
         accepted = []
         for name in dict.fromkeys(names):
@@ -140,8 +189,9 @@ class Acceptance:
                 listed = ", ".join(dict.fromkeys(effect["name"] for effect in diagnosis["effects"])) or "none"
                 raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
             accepted += _accepted_of(run, found)
-        self._store.effects.accept(run_id, accepted, who=who)
-        return self._refitted(run_id, who, f"accepted from run {run_id}: {_listed(names)}")
+        joint = joint_of_accepting(self._store, run.unit, accepted, fits)
+        self._store.effects.accept(run_id, accepted, joint, who=who)
+        return self._refit(run_id, who, f"accepted from run {run_id}: {_listed(names)}")
 
     def take_back(self, run_id: str, names: Sequence[str], reason: str, *, who: str | None = None) -> Run:
         """Takes effects that were accepted from a run out of force; an earlier acceptance is in force again.
@@ -151,13 +201,21 @@ class Acceptance:
             Refused: an effect is not accepted from this run; says which are.
             Invalid: there is no reason.
         """
-        stored_run(self._store, run_id)
         why = checked_reason(reason)
-        self._store.effects.revoke(run_id, names, why, who=who)
-        return self._refitted(run_id, who, f"{_listed(names)} of run {run_id} taken back: {why}")
+        return in_one_transaction(self._store, lambda fits: self._take_back(run_id, names, why, who, fits))
 
-    def _refitted(self, run_id: str, who: str | None, why: str) -> Run:
-        """The run with its result as what is in force now gives it; its unit's next draft is made."""
+    def _take_back(self, run_id: str, names: Sequence[str], why: str, who: str | None, fits: Fits) -> Run:
+        run = stored_run(self._store, run_id)
+        left = [
+            one
+            for one in self._store.effects.acceptances(run.unit)
+            if one.run_id != run_id or one.name not in names
+        ]
+        self._store.effects.revoke(run_id, names, why, joint_of_rest(self._store, left, fits), who=who)
+        return self._refit(run_id, who, f"{_listed(names)} of run {run_id} taken back: {why}")
+
+    def _refit(self, run_id: str, who: str | None, why: str) -> Run:
+        """Fit a run's result again with what is in force now, and make its unit's next draft."""
         run = stored_run(self._store, run_id)
         if run.result is not None and run.kind != "verification":
             poses = counted_poses(self._store, run_id)
@@ -202,6 +260,7 @@ def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
     if scope == "rig" and run.rig is None:
         raise Conflict(f"{name} belongs to the stage, and run {run.id} names no rig")
     parameters = {key: value and value["value"] for key, value in effect["parameters"].items()}
+    assert run.diagnosis is not None  # noqa: S101 (the effect is of it)
     return AcceptedEffect(
         run_id=run.id,
         unit=run.unit if scope == "unit" else None,
@@ -209,4 +268,7 @@ def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
         name=name,
         origin=origin,
         parameters=parameters,
+        runs=run.diagnosis.get("runs", [run.id]),
+        std=known_stds(effect["parameters"]),
+        is_partial=bool(run.diagnosis.get("in_force")),
     )

@@ -40,11 +40,12 @@ class Due:
 
 
 NEVER = Due(None, False, None, "It was never calibrated.")
+WITHDRAWN = Due(None, False, None, "Its calibration was withdrawn: calibrate it again.")
 
 
 @dataclass(frozen=True, slots=True)
 class DueDates:
-    """Of every unit that was calibrated."""
+    """Of every unit that was calibrated. Runs whose revisions are all withdrawn count as no calibration."""
 
     units: Mapping[str, Due]
 
@@ -79,13 +80,13 @@ def due_dates(
     """
     found = histories(store, None if serials is None else list(serials)) if found is None else found
     now = now or datetime.now(UTC)
-    latest = {
-        row.unit: place for place, row in enumerate(found.rows) if serials is None or row.unit in serials
-    }
+    withdrawn = store.revisions.withdrawn_runs()
+    rows = [row for row in enumerate(found.rows) if serials is None or row[1].unit in serials]
+    latest = {row.unit: place for place, row in rows if row.run_id not in withdrawn}
     known = store.limits.all() if limits is None else list(limits)
     limited = {serial: limit_for(known, serial, found.rows[place].rig) for serial, place in latest.items()}
     in_force = _in_force(store, [serial for serial, limit in limited.items() if limit is not None])
-    units = {}
+    units = {row.unit: WITHDRAWN for _, row in rows}
     for serial, last in latest.items():
         limit = limited[serial]
         drifting = None

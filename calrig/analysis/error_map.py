@@ -97,8 +97,8 @@ def _told(solution: Solution, basis: Basis) -> ErrorMap:
 
     stage_map = StageMap.from_document(stage_map_document(solution))
     senses = (1, -1) if solution.fit.problem.free[-1] else (0,)
-    dial = np.tile(stage_map.dial_deg, len(senses))
-    approach = np.repeat(senses, len(stage_map.dial_deg))
+    dial = np.tile(stage_map.known_deg, len(senses))
+    approach = np.repeat(senses, len(stage_map.known_deg))
     n_runs = "1 run" if len(basis.runs) == 1 else f"the newest {len(basis.runs)} runs"
     return ErrorMap(
         stage_deg=dial.tolist(),

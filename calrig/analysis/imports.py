@@ -13,11 +13,78 @@ from calrig.analysis.errors import Invalid
 from calrig.analysis.results import as_applied
 from calrig.calibration.results import FittedResult, build_result
 from calrig.export.calibration_document import calibration_content
-from calrig.export.poses_csv import PoseColumns, read_run
-from calrig.store.records import AcceptedEffect, Document
+from calrig.export.poses_csv import FileReference, PoseColumns, read_run
+from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
+from calrig.settings import ReferenceSettings, RigSettings
+from calrig.store.records import AcceptedEffect, Document, doubt_of, reference_of
 
 READING = 0.25
 """Share of an import that goes into reading its file."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOrigin:
+    """Where imported poses were measured, and the reference of their angles.
+
+    Attributes:
+        rig: name; None if none is known.
+        of_rig: that the rig's configuration states; None without such a rig or statement.
+        stated: for this import; takes precedence over the file's columns, and these over the rig's.
+    """
+
+    rig: str | None = None
+    of_rig: ReferenceSettings | None = None
+    stated: ReferenceSettings | None = None
+
+    @classmethod
+    def of(
+        cls,
+        rig: str | None,
+        configured: Sequence[RigSettings] = (),
+        std_deg: float | None = None,
+        kind: StatedKind | None = None,
+    ) -> ImportOrigin:
+        """Return the origin as requested, with the reference of a configured rig of this name.
+
+        Args:
+            rig: name, also of a rig that is not configured.
+            configured: the rigs.
+            std_deg: stated standard uncertainty of the reference, degrees.
+            kind: how its error is shared among poses; None for the usual one.
+
+        Raises:
+            Invalid: the uncertainty is out of its bounds, or a kind is stated without it.
+        """
+        if std_deg is None:
+            if kind is not None:
+                raise Invalid(
+                    f"reference_kind {kind!r} states no uncertainty: add reference_std_deg",
+                    ["reference_kind"],
+                )
+        elif not 0.0 < std_deg <= MOST_REFERENCE_STD_DEG:
+            said = f"reference_std_deg is {std_deg:g}, not above 0 and at most {MOST_REFERENCE_STD_DEG:g}"
+            raise Invalid(said, ["reference_std_deg"])
+        of_rig = next((one.reference for one in configured if one.name == rig), None)
+        return cls(rig, of_rig, None if std_deg is None else _settings(std_deg, kind))
+
+    def reference(self, of_file: FileReference | None) -> tuple[ReferenceSettings | None, list[str]]:
+        """Return the reference that counts, and a warning if the file states another one."""
+        in_file = None if of_file is None else _settings(of_file.std_deg, of_file.kind)
+        if self.stated is None or in_file in (None, self.stated):
+            return self.stated or in_file or self.of_rig, []
+        return self.stated, [
+            f"the file states a reference of {_in_words(in_file)}; the one stated for this import counts, "
+            f"{_in_words(self.stated)}"
+        ]
+
+
+def _settings(std_deg: float, kind: StatedKind | None) -> ReferenceSettings:
+    usual = ReferenceSettings(std_deg=std_deg)
+    return usual if kind is None else usual.model_copy(update={"kind": kind})
+
+
+def _in_words(reference: ReferenceSettings) -> str:
+    return f"{reference.std_deg:g}° ({reference.kind})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +93,7 @@ class Imported:
 
     `mount_axis` is which of the unit's axes lay along the stage's; there is a result about x alone. `content`
     is that of the unit's next revision, with the effects `accepted`; None where the scale is left open.
+    `origin` is the part of the run's provenance that states the rig and its reference, if one is known.
     """
 
     poses: PoseColumns
@@ -34,12 +102,13 @@ class Imported:
     result: FittedResult | None
     content: Document | None
     accepted: Sequence[AcceptedEffect]
+    origin: Document
 
 
 def read_and_fit(
     file: bytes | Path,
     unit: str,
-    rig: str | None,
+    origin: ImportOrigin,
     accepted: Sequence[AcceptedEffect],
     progress: Callable[[float], None] | None = None,
 ) -> Imported:
@@ -48,7 +117,7 @@ def read_and_fit(
     Args:
         file: what is in it, or its path.
         unit: serial number.
-        rig: that the poses were taken on; None where none is known.
+        origin: the rig that the poses were measured on, and its reference.
         accepted: effects in force for its unit and rig.
         progress: told the share of the import that is done, 0 to 1; fitting and keeping tell nothing.
 
@@ -57,15 +126,22 @@ def read_and_fit(
     """
     content = file.read_bytes() if isinstance(file, Path) else file
     told = progress and (lambda share: progress(READING * share))
-    columns, axis, warnings = read_run(content, unit, told)
+    columns, axis, warnings, of_file = read_run(content, unit, told)
+    settings, contradicted = origin.reference(of_file)
+    warnings += contradicted
+    stated: Document = {}
+    if settings is not None and settings.std_deg is not None:  # a map is of the rig's own runs alone
+        stated = {"rig": {"name": origin.rig, "reference": settings.model_dump(mode="json")}}
     if axis != "x":
-        return Imported(columns, axis, warnings, None, None, accepted)
-    poses = columns[:]
-    result = build_result(poses, None, as_applied(accepted))
+        return Imported(columns, axis, warnings, None, None, accepted, stated)
+    poses, reference = columns[:], reference_of(stated)
+    result = build_result(poses, None, as_applied(accepted), reference, doubt=doubt_of(accepted))
     issued = None
     if result.scale is not None:
-        issued = calibration_content(unit=unit, rig=rig, poses=poses, result=result, accepted=accepted)
-    return Imported(columns, axis, warnings, result, issued, accepted)
+        issued = calibration_content(
+            unit=unit, rig=origin.rig, poses=poses, result=result, accepted=accepted, reference=reference
+        )
+    return Imported(columns, axis, warnings, result, issued, accepted, stated)
 
 
 LONGEST_SERIAL = 100

@@ -19,7 +19,7 @@ from calrig.calibration.results import (
 from calrig.calibration.separation import beyond_in_words, dial_of, map_reference
 from calrig.calibration.uncertainty import AS_PLANNED, Ending
 from calrig.model.result import Gyro, Reference, Result
-from calrig.store.records import AcceptedEffect, Document, Run, map_of, reference_of
+from calrig.store.records import AcceptedEffect, Document, Run, doubt_of, map_of, reference_of
 
 if TYPE_CHECKING:
     from calrig.store import Store
@@ -41,6 +41,7 @@ def fitted(
     provenance: Document,
     gyro: Gyro | None = None,
     ending: Ending = AS_PLANNED,
+    run_id: str | None = None,
 ) -> FittedResult:
     """The result of poses of a unit on a rig.
 
@@ -50,10 +51,19 @@ def fitted(
         provenance: of the run; says what the stage was worth when it was made, and what of a sweep was lost.
         gyro: what the run's samples say of the gyro.
         ending: how it came to its end.
+        run_id: of the run that the poses are of; None before an effect can have been accepted from it.
     """
-    effects = as_applied(accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None])
-    reference = reference_over(poses, provenance, bent=bool(effects))
-    result = build_result(poses, gyro, effects, reference, unused_map_says(poses, provenance), ending)
+    taken = accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None]
+    reference = reference_over(poses, provenance, bent=bool(taken))
+    result = build_result(
+        poses,
+        gyro,
+        as_applied(taken),
+        reference,
+        unused_map_says(poses, provenance),
+        ending,
+        doubt_of(taken, run_id),
+    )
     return result.model_copy(update={"lost_says": (provenance.get("sweep") or {}).get("lost")})
 
 
@@ -100,7 +110,7 @@ def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Result:
     What it says of the gyro stays: that is from samples, which may have been pruned.
     """
     accepted = store.effects.in_force(run.unit, run.rig)
-    result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run))
+    result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run), run.id)
     if run.result is not None and "doubts" in run.result.model_fields_set:  # until the next draft says
         result = result.with_doubts(run.result.doubts)
     return result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -204,14 +205,14 @@ class Issuer:
             Conflict: its run has been voided.
             Invalid: its document has warnings, and there is no reason.
         """
-        found = self._store.revisions.get(unit, number)
-        if found is not None and found.warnings and not (reason or "").strip():
-            raise Invalid(f"revision {number} has warnings: a reason is needed to release it", ["reason"])
-        if found is not None and (voided := stored_run(self._store, found.run_id).voided):
-            raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided.reason})")
-        return self._store.revisions.release(
-            unit, number, by, None if reason is None else checked_reason(reason)
-        )
+        with self._store.transaction():
+            found = self._store.revisions.get(unit, number)
+            if found is not None and found.warnings and not (reason or "").strip():
+                raise Invalid(f"revision {number} has warnings: a reason is needed to release it", ["reason"])
+            if found is not None and (voided := stored_run(self._store, found.run_id).voided):
+                raise Conflict(f"run {found.run_id} of revision {number} is voided ({voided.reason})")
+            why = None if reason is None else checked_reason(reason)
+            return self._store.revisions.release(unit, number, by, why)
 
     def withdraw(self, unit: str, number: int, *, by: str | None, reason: str) -> Revision:
         """Withdraw a revision permanently.
@@ -222,7 +223,11 @@ class Issuer:
         return self._store.revisions.withdraw(unit, number, by, checked_reason(reason))
 
     def listed(self, revisions: Sequence[Revision]) -> list[Document]:
-        """Revisions as CONTRACT section 2 lists them."""
+        """Revisions of one unit as CONTRACT section 2 lists them."""
+        if not revisions:
+            return []
+        unit = revisions[0].unit
+        in_force, acts = self._store.revisions.in_force(unit), _acts(self._store, unit)
         return [
             {
                 "revision": one.revision,
@@ -236,6 +241,9 @@ class Issuer:
                 "verdict": one.verdict,
                 "warnings": one.warnings,
                 "stale": reasons,
+                **_figures(one.document),
+                "change": None if in_force is None else _change(one, in_force),
+                "acts": acts.get(one.revision, []),
             }
             for one, reasons in zip(revisions, self._stale(revisions), strict=True)
         ]
@@ -271,7 +279,7 @@ class Issuer:
         stored = self._store.poses.of(run.id)
         poses = [one.pose for one in stored if one.excluded is None]
         excluded = [one.index for one in stored if one.excluded is not None]
-        result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run))
+        result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run), run.id)
         return Fitted(poses, result, accepted, excluded, chosen)
 
     def _draft(
@@ -325,6 +333,41 @@ class NoDrafts(Issuer):
         return []
 
 
+def _figures(document: Document) -> Document:
+    """Return bias, scale and U of a document, with their standard errors."""
+    covariance = document.get("covariance") or []
+    stds = [math.sqrt(row[k]) for k, row in enumerate(covariance)]
+    bias_std_deg, scale_std, *_ = [*stds, None, None]
+    return {
+        "bias_deg": document["bias_deg"],
+        "bias_std_deg": bias_std_deg,
+        "scale": document["scale"],
+        "scale_std": scale_std,
+        "expanded_uncertainty_deg": document.get("expanded_uncertainty_deg"),
+    }
+
+
+def _change(one: Revision, in_force: Revision) -> Document | None:
+    """Return a revision's figures less those in force; None for the revision in force."""
+    if one.revision == in_force.revision:
+        return None
+    now, before = _figures(one.document), _figures(in_force.document)
+    known = {name: (now[name], before[name]) for name in ("bias_deg", "scale", "expanded_uncertainty_deg")}
+    less = {name: None if None in pair else pair[0] - pair[1] for name, pair in known.items()}
+    return {"revision": in_force.revision, **less}
+
+
+def _acts(store: Store, unit: str) -> dict[int | None, list[Document]]:
+    """Return the releases and withdrawals of each revision of a unit, oldest first."""
+    acts: dict[int | None, list[Document]] = {}
+    for entry in store.trail.entries(unit=unit, what=("released", "withdrawn"), limit=EVERY_ENTRY):
+        act = entry.act
+        said = {"at": entry.at, "what": act.what, "by": act.who, "reason": act.reason}
+        said["supersedes"] = act.detail.get("supersedes")
+        acts.setdefault(act.revision, []).append(said)
+    return acts
+
+
 def issued_since(store: Store, since: datetime | None) -> list[Document]:
     """What was drafted, released and withdrawn over all units from a time on, oldest first."""
     if since is not None and since.tzinfo is None:
@@ -340,6 +383,7 @@ def issued_since(store: Store, since: datetime | None) -> list[Document]:
             "by": entry.act.who,
             "reason": entry.act.reason,
             "warnings": entry.act.detail.get("warnings", []),
+            "supersedes": entry.act.detail.get("supersedes"),
         }
         for entry in store.trail.entries(
             what=("drafted", "released", "withdrawn"), since=since, limit=EVERY_ENTRY

@@ -15,7 +15,7 @@ from calrig.analysis.solutions import usable_map
 from calrig.analysis.stored_runs import stored_run
 from calrig.calibration.poses import MOUNT_DEG, Pose, of_first_mount
 from calrig.calibration.regression import ApplyError
-from calrig.calibration.results import FittedResult, apply_calibration, numbers_of
+from calrig.calibration.results import FittedResult, apply_calibration, own_effect
 from calrig.calibration.separation import with_map
 from calrig.calibration.uncertainty import limit_for, make_verdict, reference_figures
 from calrig.estimation.angles import wrap_deg
@@ -138,7 +138,7 @@ def solved_verdict(
     nothing = ((0.0, 0.0), (0.0, 0.0))
     known = Reference(content["uncertainty"]["type_b_deg"], "map", "normal", nothing)
     theta_deg = np.array([pose.theta_deg for pose in of_first_mount(counted)], dtype=np.float64)
-    effects = [(one["name"], numbers_of(one["parameters"])) for one in content["effects"]]
+    effects = [own_effect(one["name"], one["parameters"]) for one in content["effects"]]
     try:
         result = apply_calibration(
             counted, gyro_of(run), line, effects, reference_figures(theta_deg, line, known)

@@ -11,7 +11,7 @@ import numpy as np
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.stored_runs import axis_of, counted_poses, ended_run, limits_of
-from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, MOUNT_DEG, Pose
+from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, Pose
 from calrig.calibration.separation import MapError, MountedPoses, StageMap
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
@@ -227,19 +227,15 @@ def mounted(store: Store, runs: Sequence[Run]) -> list[MountedPoses]:
         names = {run_id: run_id for run_id in names}
     whole = any(axis_of(run)[-1] != "x" for run in runs)
     poses_of = poses_with_gyro if whole else counted_poses
-    return [lot for run in runs for lot in _lots(run, names[run.id], poses_of(store, run.id))]
-
-
-def _lots(run: Run, name: str, poses: Sequence[Pose]) -> list[MountedPoses]:
-    """One for each angle: as its poses have it, else as its plan of one mount does."""
-    plan = run.plan or {}
-    planned = plan.get("mounts_deg") or [0.0]
-    lots: dict[float | None, list[Pose]] = {}
-    for pose in poses:
-        own = pose.covariates.get(MOUNT_DEG)
-        bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
-        lots.setdefault(float(planned[0]) if own is None and len(planned) == 1 else own, []).append(bare)
     return [
-        MountedPoses(run.unit, f"{name} {angle or 0.0:g}°", angle, run.id, own, axis_of(run))
-        for angle, own in lots.items()
+        lot
+        for run in runs
+        for lot in MountedPoses.of_run(
+            poses_of(store, run.id),
+            unit=run.unit,
+            run_id=run.id,
+            name=names[run.id],
+            axis=axis_of(run),
+            planned_deg=(run.plan or {}).get("mounts_deg") or [0.0],
+        )
     ]

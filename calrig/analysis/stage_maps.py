@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.solutions import mounted, usable_map
+from calrig.calibration.separation import CHECKED_ORDERS as ORDERS
 from calrig.calibration.separation import MapCheck, MapError, StageMap, checked, in_words
 from calrig.calibration.uncertainty import deg, percent
 from calrig.settings import RigSettings, Settings, SettingsError
@@ -90,14 +90,20 @@ def _document(now: Run, before: Run, found: MapCheck) -> Document:
             "solve again."
         )
     else:
-        says = f"The map holds: by {told}, nothing is off by more than {largest}."
+        seen = (f"order {k} from {deg(size)}" for k, size in zip(ORDERS, found.seen_from_deg, strict=True))
+        says = (
+            f"The map holds: by {told}, nothing is off by more than {largest}. Such runs show a change (RMS) "
+            f"of {', '.join(seen)} on."
+        )
     return {
         "state": "moved" if found.has_moved else "holds",
         "says": says,
         "unit": now.unit,
         "run_id": now.id,
         "baseline_run_id": before.id,
-        **asdict(found),
+        "p_value": found.p_value,
+        "largest_deg": found.largest_deg,
+        "largest_at_deg": found.largest_at_deg,
         "at_deg": list(found.at_deg) if found.has_moved else [],
     }
 
@@ -204,7 +210,7 @@ def shown_map(store: Store, rig: RigSettings, configured: Mapping[str, Document]
         of_bench = "; its bench may have a file of its own" if rig.reference and rig.reference.map else ""
         raise Unknown(f"rig {rig.name!r} has no stage's map in force{of_bench}")
     stage_map = StageMap.from_frozen(kept)
-    dial_deg = stage_map.dial_deg
+    dial_deg = stage_map.known_deg
     middle = np.zeros(len(dial_deg))
     return {
         "rig": rig.name,

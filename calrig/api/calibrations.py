@@ -17,7 +17,7 @@ from calrig.analysis.revisions import issued_since
 from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import problems
-from calrig.api.jobs import Heavy
+from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.models import Body, Reason, ReasonIfAny
 from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
 from calrig.model.base import Model
@@ -110,8 +110,8 @@ def show_calibration(
     hold the calibration. Formats of source `noise` are of the unit's latest static run, whatever the
     revision.
 
-    `pdf` is its certificate, `dcc` the same for programs (PTB's XML, signed where the laboratory has a key);
-    501 where what makes it is not installed.
+    `pdf` is a preview of its certificate and says so, `dcc` the same for programs (PTB's XML, signed where
+    the laboratory has a key); 501 where what makes it is not installed. `POST …/certificates` issues one.
     """
     exporter = None if format_ in ISSUED else exporter_of(format_)
     if isinstance(exporter, NoiseExporter):
@@ -122,7 +122,7 @@ def show_calibration(
     if format_ == "json":
         return Response(found.text.encode(), media_type="application/json", headers=headers)
     if exporter is None:
-        return _certificate(context, found, "pdf" if format_ == "pdf" else "dcc")
+        return _preview(context, heavy, found, "pdf" if format_ == "pdf" else "dcc")
     return PlainTextResponse(exported(found, exporter), headers=headers, media_type=exporter.media_type)
 
 
@@ -198,18 +198,20 @@ def list_issued(context: Context, since: datetime | None = None) -> object:
     return issued_since(context.store, since)
 
 
-def _certificate(context: ApiContext, found: StoredRevision, form: Literal["pdf", "dcc"]) -> Response:
+def _preview(
+    context: ApiContext, heavy: BackgroundWork, found: StoredRevision, form: Literal["pdf", "dcc"]
+) -> Response:
     from calrig.analysis.certificates import certificate_dcc, certificate_pdf
     from calrig.export.certificate.pdf import RendererMissingError
     from calrig.export.dcc.signing import SignerMissingError
 
-    name = f"certificate-{found.sha256[:12]}-{found.revision}"
+    name = f"preview-{found.sha256[:12]}-{found.revision}"
     try:
         if form == "dcc":
             xml = certificate_dcc(context.store, found, context.laboratory)
             named = {"Content-Disposition": f'attachment; filename="{name}.xml"'}
             return Response(xml, media_type="application/xml", headers=named)
-        pdf = certificate_pdf(context.store, found, context.laboratory)
+        pdf = certificate_pdf(context.store, found, context.laboratory, heavy.from_thread)
     except SignerMissingError as error:
         raise HTTPException(501, str(error)) from error
     except RendererMissingError as error:

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from pydantic_core import to_json
 
-from calrig.analysis.comparison import compared_runs, comparison
+from calrig.analysis.comparison import compared_runs, comparison, figures_in_force
 from calrig.analysis.histories import histories, unit_changes
 from calrig.api.context import Context
 from calrig.api.errors import problems
@@ -46,6 +46,7 @@ def compare(context: Context, unit: Units = None) -> Response:
     """
     found = histories(context.store, unit)
     due = context.due_dates(found, unit)
-    document = comparison(found, compared_runs(context.store, unit, found), due)
+    in_force = figures_in_force(context.store, unit)
+    document = comparison(found, compared_runs(context.store, unit, found), due, in_force)
     # Thousands of rows straight from the store: a test holds them to the model, so that no answer has to be.
     return Response(to_json(document, inf_nan_mode="null"), media_type="application/json")

@@ -89,9 +89,9 @@ async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
 
 def _naming(fields: Sequence[str]) -> dict[str, str]:
     """The header that names places in what was sent: the answer's body is `detail` and nothing else."""
-    return (
-        {FIELDS: " ".join(quote(field, safe="[]._", errors="replace") for field in fields)} if fields else {}
-    )
+    # A name may be empty, `{"": 1}`, and a header of blanks is none that a server may send.
+    named = [quote(field, safe="[]._", errors="replace") for field in fields if field]
+    return {FIELDS: " ".join(named)} if named else {}
 
 
 async def _store_error(_request: Request, error: Exception) -> JSONResponse:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Path, Query
 
 from calrig import figures
-from calrig.analysis.calibration_in_force import left_of_poses_deg
+from calrig.analysis.calibration_in_force import Fit, residuals_of
 from calrig.analysis.check_standard import check_chart
 from calrig.analysis.comparison import compared_runs
 from calrig.analysis.errors import Unknown
@@ -34,16 +34,17 @@ router = APIRouter(tags=["figures"])
     responses=problems(404, 409, 422),
     summary="A picture of one run",
 )
-def run_figure(run: KnownRun, name: RunFigure, context: Context) -> figures.Figure:
+def run_figure(run: KnownRun, name: RunFigure, context: Context, fit: Fit = "verdict") -> figures.Figure:
     """What was measured, or what its last diagnosis (404 before) has found.
 
-    `timeline`: stage and reading against time; `residual`: of each pose against elevation; `diagnosis`: the
+    `timeline`: stage and reading against time; `residual`: of each pose against elevation, as
+    the verdict judges it or (`fit=plain`) by bias and scale alone; `diagnosis`: the
     error before and after; `effect-0`, …: the partial residual of its first effect, against the covariate.
     """
     if name == "timeline":
         return _timeline(context, run)
     if name == "residual":
-        return _residual(context, run)
+        return _residual(context, run, fit)
     if name == "diagnosis":
         return figures.before_and_after(context.diagnoses.last(run.id))
     return _effect(context, run, int(name.removeprefix(EFFECT)))
@@ -74,12 +75,23 @@ def _readings(context: ApiContext, run_id: str) -> Iterator[Document]:
         seen = events[-1].seq
 
 
-def _residual(context: ApiContext, run: Run) -> figures.Figure:
+def _judged(run: Run, fit: Fit) -> str:
+    """Return what the lower half of the residuals shows, in words."""
+    if fit == "plain":
+        return "bias and scale alone"
+    if run.kind == "verification":
+        return "error of indication"
+    has_effects = run.result is not None and run.result.rms_with_effects_deg is not None
+    return "with effects" if has_effects else "calibrated"
+
+
+def _residual(context: ApiContext, run: Run, fit: Fit) -> figures.Figure:
     stored = context.store.poses.of(run.id)
     poses = [s.pose for s in stored]
     return figures.residual(
         poses,
-        left_deg=None if run.result is None else left_of_poses_deg(context.store, run, poses),
+        left_deg=None if run.result is None else residuals_of(context.store, run, poses, fit),
+        what=_judged(run, fit),
         scale=None if run.result is None else run.result.scale,
         excluded={place for place, s in enumerate(stored) if s.excluded is not None},
     )

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from functools import partial
-from itertools import chain
+from itertools import chain, islice
 from typing import Annotated, Any, AnyStr, Literal
 
 from fastapi import APIRouter, Header, Query
 from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
-from calrig.analysis.calibration_in_force import left_of_poses_deg
+from calrig.analysis.calibration_in_force import Fit, left_of_poses_deg, residuals_of
 from calrig.analysis.stored_runs import axis_of, labels_of, mount_columns
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems, problems_in_json
@@ -38,6 +38,7 @@ def poses(
     context: Context,
     format: Annotated[Literal["json", "csv"] | None, Query()] = None,
     accept: Annotated[str, Header()] = "",
+    fit: Fit = "verdict",
 ) -> Any:
     """JSON has all; CSV (`format=csv` or `Accept: text/csv`) is the import format, without excluded poses."""
     # Tens of thousands of them, straight from the store: a test holds them to the model.
@@ -47,7 +48,7 @@ def poses(
             CSV,
             f"run-{run.id}-poses.csv",
         )
-    return _streamed(_json(run, context.store), "application/json")
+    return _streamed(_json(run, context.store, fit), "application/json")
 
 
 def _counted(context: ApiContext, run: Run) -> Iterator[list[Pose]]:
@@ -55,11 +56,18 @@ def _counted(context: ApiContext, run: Run) -> Iterator[list[Pose]]:
         yield [stored.pose for stored in batch if stored.excluded is None]
 
 
-def _json(run: Run, store: Store) -> Iterator[bytes]:
+def _json(run: Run, store: Store, fit: Fit) -> Iterator[bytes]:
     """A JSON array, piece by piece."""
     begin = b"["
+    whole: Iterator[float | None] | None = None
+    if fit == "verdict" and run.result is not None and run.result.rms_with_effects_deg is not None:
+        whole = iter(left_of_poses_deg(store, run, [p.pose for p in store.poses.of(run.id)]))
     for batch in store.poses.batches_of(run.id):
-        left_deg = left_of_poses_deg(store, run, [p.pose for p in batch])
+        left_deg = (
+            residuals_of(store, run, [p.pose for p in batch], fit)
+            if whole is None
+            else list(islice(whole, len(batch)))
+        )
         poses = [_pose(p, left, run) for p, left in zip(batch, left_deg, strict=True)]
         yield begin + to_json(poses, inf_nan_mode="null")[1:-1]
         begin = b","

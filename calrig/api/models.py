@@ -123,7 +123,9 @@ class PoseAnswer(BaseModel):
     mount_deg: float = Field(description="The angle at which the unit was clamped, nominally.")
     mount_axis: str = Field(description="Which of the unit's axes lay along the stage's.")
     raw_error_deg: float = Field(description="Reading less the elevation it was taken at.")
-    residual_deg: float | None = Field(description="What the run's bias and scale leave of it.")
+    residual_deg: float | None = Field(
+        description="As the verdict judges it; `fit=plain`: by bias and scale."
+    )
 
 
 class UnitAnswer(Model):

@@ -127,7 +127,7 @@ def show_archive(unit: KnownUnit, context: Context) -> Response:
         "Content-Disposition": f'attachment; filename="archive-{name}.zip"',
         "Content-Encoding": "identity",  # it is packed
     }
-    pieces = archive_of(context.store, unit.serial, context.laboratory)
+    pieces = archive_of(context.store, unit.serial)
     first = next(pieces)  # what is wrong with the store is told in place of it
     return StreamingResponse(chain([first], pieces), media_type=ZIP, headers=headers)
 

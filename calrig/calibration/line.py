@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calrig.calibration.correlated_errors import covariance_over_correlations
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 MIN_SCALE = 1e-6
@@ -22,10 +23,11 @@ class Line:
     Attributes:
         bias_deg: reading at θ = 0; with all poses at one angle, mean of reading − θ; in (−180, 180].
         scale: None with all poses at one angle; counts as 1 then.
-        bias_std_deg: standard error of the bias.
+        bias_std_deg: standard error of the bias; noise may be correlated from pose to pose, here and below.
         scale_std: standard error of the scale.
         covariance: of bias (deg) and scale; None without a scale or without degrees of freedom.
-        residual_std_deg: scatter of a reading about the line, degrees of freedom taken off.
+        residual_std_deg: standard deviation of a reading about the true line.
+        effect_parameters: of effects, fitted to the same poses in addition; each takes a degree of freedom.
     """
 
     bias_deg: float
@@ -34,16 +36,18 @@ class Line:
     scale_std: float | None
     covariance: Matrix2 | None
     residual_std_deg: float | None
+    effect_parameters: int = 0
 
 
 def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False) -> Line:
     """Fit bias and scale to reading − θ, so that a turn more or less does not matter.
 
-    Ordinary least squares about the mean of θ, standard errors from the residual scatter with n − 2 (or
-    n − 1) degrees of freedom (Draper & Smith, Applied Regression Analysis, 1998, section 1.4; GUM H.3).
+    Ordinary least squares about the mean of θ (Draper & Smith, Applied Regression Analysis, 1998, section
+    1.4; GUM H.3). Standard errors allow for noise that is correlated from pose to pose
+    (`covariance_over_correlations`), with n − 2 (or n − 1) degrees of freedom.
 
     Args:
-        theta_deg: (n,) elevation of the stage, n >= 1.
+        theta_deg: (n,) elevation of the stage, n >= 1, in the order measured.
         reading_deg: (n,) readings.
         one_angle: the poses were all commanded to one angle: what θ scatters by is then the stage's
             noise and says nothing of a scale. All θ equal is seen without being told.
@@ -58,22 +62,25 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
     error = reading_error_deg(theta_deg, reading_deg)
     n = len(error)
     if one_angle or np.ptp(theta_deg) == 0.0:
-        std = float(error.std(ddof=1)) if n > 1 else None
-        bias_std = None if std is None else std / math.sqrt(n)
-        return Line(wrap_deg(float(error.mean())), None, bias_std, None, None, std)
+        level = float(error.mean())
+        if n < 2:
+            return Line(wrap_deg(level), None, None, None, None, None)
+        covariance, variance = covariance_over_correlations(np.ones((n, 1)), error - level)
+        return Line(wrap_deg(level), None, math.sqrt(covariance[0, 0]), None, None, math.sqrt(variance))
     centre = float(theta_deg.mean())
     theta = theta_deg - centre
-    power = float(theta @ theta)
-    slope = float(theta @ error) / power
+    slope = float(theta @ error) / float(theta @ theta)
     level = float(error.mean())
     bias = wrap_deg(level - slope * centre)
     if n < 3:
         return Line(bias, 1.0 + slope, None, None, None, None)
-    residual = error - level - slope * theta
-    variance = float(residual @ residual) / (n - 2)
-    scale_variance = variance / power
-    bias_variance = variance / n + centre**2 * scale_variance
-    shared = -centre * scale_variance
+    unit_deg = float(np.abs(theta).max())
+    design = np.column_stack([np.ones(n), theta / unit_deg])
+    of_design, variance = covariance_over_correlations(design, error - level - slope * theta)
+    to_line = np.array([[1.0, -centre / unit_deg], [0.0, 1.0 / unit_deg]])
+    covariance = to_line @ of_design @ to_line.T
+    (bias_variance, shared), (_, scale_variance) = covariance.tolist()
+    bias_variance = max(bias_variance, 0.0)  # of exact readings the residual is rounding, and so is its sign
     return Line(
         bias_deg=bias,
         scale=1.0 + slope,

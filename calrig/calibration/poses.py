@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -163,6 +164,10 @@ influence quantity it would take the place of the scale. Of an angle it is withi
 """
 
 
+USED_WHOLE = ("temperature_c", "time_s", "approach", "accel_y_g", "accel_z_g", "stage_deg")
+"""Columns that are used where every pose has them."""
+
+
 def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
     """Return the runs that have poses; a column that a few poses lack costs those poses, not the column.
 
@@ -178,7 +183,7 @@ def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str
         )
     poses = [pose for run in runs for pose in run]
     lacking: set[int] = set()
-    for name in ("temperature_c", "time_s", "approach", "accel_y_g", "accel_z_g", "stage_deg"):
+    for name in USED_WHOLE:
         missing = [k for k, pose in enumerate(poses) if getattr(pose, name) is None]
         if 0 < len(missing) <= 0.1 * len(poses):
             warnings.append(f"{len(missing)} poses have no {name} and were left out")
@@ -190,6 +195,14 @@ def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str
         kept.append([pose for i, pose in enumerate(run, start=k) if i not in lacking])
         k += len(run)
     return [run for run in kept if run], warnings
+
+
+def without_unused(runs: Sequence[Sequence[Pose]]) -> list[list[Pose]]:
+    """Return the runs without columns that some pose lacks, so that further poses bring none back."""
+    unused: dict[str, Any] = {
+        name: None for name in USED_WHOLE if any(getattr(p, name) is None for run in runs for p in run)
+    }
+    return [[replace(pose, **unused) for pose in run] for run in runs]
 
 
 def column_of(poses: Sequence[Pose], name: str) -> FloatArray | None:
@@ -256,13 +269,13 @@ def same(a: FloatArray, b: FloatArray) -> bool:
 
 def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
     """Raise DiagnosisError where the readings cannot be degrees of these elevations."""
-    if np.ptp(theta) < 5.0:
-        return
-    if np.ptp(reading) == 0.0:
+    if np.ptp(theta) > 0.0 and np.ptp(reading) == 0.0:
         raise DiagnosisError(
             f"the readings never change (they all are {reading[0]:g}) while the elevation turns by "
             f"{np.ptp(theta):g}°: look at reading_deg and at what fills it"
         )
+    if np.ptp(theta) < 5.0:
+        return
     slope = float(np.polyfit(theta, reading, 1)[0])
     if abs(abs(slope) * 180.0 / np.pi - 1.0) < 0.2:
         raise DiagnosisError(

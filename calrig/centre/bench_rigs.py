@@ -262,15 +262,14 @@ _STEPS_S = ((60.0, 10.0), (3600.0, 60.0))
 for byte, while there is nothing new."""
 
 
-def overview(store: Store, rigs: Sequence[RigState], *, now: datetime | None = None) -> list[Document]:
+def overview(store: Store, rigs: Sequence[RigState]) -> list[Document]:
     """Benches by name, each with its rigs as configured; this machine's own rigs on one without a name.
 
     Args:
         store: of the centre.
         rigs: as the service tells them.
-        now: by which a check is overdue; without it this moment.
     """
-    now = now or datetime.now(UTC)
+    now = datetime.now(UTC)
     standings = store.rigs.summaries([rig.name for rig in rigs])
 
     def on(bench: str | None) -> list[Document]:

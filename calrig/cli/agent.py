@@ -13,6 +13,7 @@ import calrig
 from calrig.cli.exit_status import Listed
 from calrig.cli.options import Config, Record
 from calrig.cli.start import loaded
+from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     import socket
@@ -60,14 +61,13 @@ def agent(
     """
     if context.invoked_subcommand is not None:
         return
-    from calrig.agent.address import checked_url
     from calrig.api.access import access_here
     from calrig.api.server import address_of, listen
     from calrig.cli.local_service import local_service
     from calrig.logs import configure_log
     from calrig.settings import load_settings
 
-    url, settings = checked_url(_centre_url(db)), load_settings(config)
+    url, settings = _checked_url(_centre_url(db)), load_settings(config)
     configure_log(log_format)
     access = None if port is None else access_here(host, address_of(host, port), settings)
     with (
@@ -86,6 +86,36 @@ def _centre_url(db: str | None) -> str:
     if db or os.environ.get("CALRIG_DB") or not kept.is_file():
         return store_url(db)
     return kept.read_text().strip()
+
+
+def _checked_url(url: str) -> str:
+    """The URL of a centre's database in libpq's own form.
+
+    Raises:
+        InputError: it names none.
+        WorkError: by it somebody on the network could listen, or take the centre's place.
+    """
+    from sqlalchemy import make_url
+
+    from calrig.store.engines import EXTRA, is_centre
+
+    if not is_centre(url):
+        raise InputError("an agent needs the URL of its centre's database: --db postgresql+psycopg://…")
+    try:
+        import procrastinate  # noqa: F401 (whether they are there)
+        import psycopg  # noqa: F401
+
+        from calrig.store.postgresql.agent_url import is_on_this_machine
+    except ModuleNotFoundError as error:
+        raise WorkError(f"an agent needs {error.name}: {EXTRA}") from error
+    parsed = make_url(url)
+    if not is_on_this_machine(parsed) and parsed.query.get("sslmode") != "verify-full":
+        shown = parsed.set(drivername="postgresql+psycopg").render_as_string(hide_password=True)
+        raise WorkError(
+            f"{shown}: a centre on another machine is reached by TLS that proves who it is: add "
+            "?sslmode=verify-full (and sslrootcert=FILE) to the URL"
+        )
+    return parsed.set(drivername="postgresql").render_as_string(hide_password=False)
 
 
 def _spool_url(spool: str | None) -> str:

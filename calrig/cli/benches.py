@@ -15,10 +15,10 @@ import typer
 
 from calrig.cli.exit_status import Listed
 from calrig.cli.options import Db, Json, Server
+from calrig.cli.running_service import client_at
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.client import Client
     from calrig.store import Store
 
 
@@ -42,7 +42,7 @@ def add(
     if server:
         from calrig.client.transport import part
 
-        code = part(_client(server).post("/api/benches", {"name": name, "hall": hall}), "code")
+        code = part(client_at(server).post("/api/benches", {"name": name, "hall": hall}), "code")
     else:
         with _writing(db) as store:
             _, code = store.enrolment.add(name, hall)
@@ -53,7 +53,7 @@ def add(
 def revoke(name: Name, db: Db = None, server: Server = None) -> None:
     """Revoke a bench's access and end its connections; what it measured stays."""
     if server:
-        _client(server).delete(f"/api/benches/{quote(name, safe='')}")
+        client_at(server).delete(f"/api/benches/{quote(name, safe='')}")
         return
     with _writing(db) as store:
         store.enrolment.revoke(name)
@@ -68,7 +68,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
         from calrig.client.documents import each
         from calrig.model.service import Membership
 
-        benches = each(Membership, _client(server).get("/api/benches"))
+        benches = each(Membership, client_at(server).get("/api/benches"))
     else:
         from calrig.settings import store_url
         from calrig.store import Store
@@ -79,12 +79,6 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
         print_json([bench.model_dump(mode="json") for bench in benches])
     else:
         print_benches(benches)
-
-
-def _client(server: str) -> Client:
-    from calrig.client import Client
-
-    return Client(server)
 
 
 @contextmanager

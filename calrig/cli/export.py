@@ -368,12 +368,12 @@ def _export_archive(there: Client | None, unit: str | None, out: Path | None, db
             size = there.archive(unit, out)
         else:
             from calrig.analysis.certificates import archive_of
-            from calrig.settings import load_settings, store_url
+            from calrig.settings import store_url
             from calrig.store import Store
 
             with Store.open(store_url(db), writer=None) as store:
-                size = write_new(out, archive_of(store, unit, load_settings().laboratory))
-    typer.echo(f"{out}: {size / 1e6:.1f} MB")
+                size = write_new(out, archive_of(store, unit))
+    typer.echo(f"{out}: {size / 1e6:.1f} MB" if size >= 1e6 else f"{out}: {size / 1e3:.1f} kB")
 
 
 def _export_all(folder: Path, db: str | None) -> None:

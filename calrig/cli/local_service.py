@@ -26,6 +26,7 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
         InputError: rigs are configured here, which no centre carries runs out on.
     """
     from calrig.analysis.limits import keep_configured
+    from calrig.analysis.mending import mend
     from calrig.analysis.revisions import Issuer
     from calrig.settings import DEMO_RIG
     from calrig.store import Store
@@ -38,7 +39,9 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
         )
     with Store.open(url, writer=command) as store:
         keep_configured(settings, store)
-        Issuer(store).bring_over()
+        issuer = Issuer(store)
+        issuer.bring_over()
+        mend(store, issuer)
         from calrig.centre.service import CentreService
 
         with closing(CentreService(store, url)) as service:
@@ -72,6 +75,7 @@ def local_service(
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
             from calrig.analysis.limits import keep_configured
+            from calrig.analysis.mending import mend
             from calrig.analysis.revisions import Issuer, NoDrafts, Releases
             from calrig.analysis.stage_maps import configured_maps
             from calrig.runs.run_queue import mark_interrupted, stop_stages
@@ -96,6 +100,8 @@ def local_service(
             keep_configured(settings, store)
             issuer = Issuer(store, Releases.of(rigs)) if drafts else NoDrafts(store)
             issuer.bring_over()
+            if drafts:
+                mend(store, issuer)
             powered = starting.result()
         service = RunService(store, powered, record, issuer, maps)
         stack.callback(service.close)

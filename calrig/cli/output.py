@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from calrig.model.base import Model
     from calrig.model.diagnosis import Diagnosis, EffectFound
     from calrig.model.noise import Coefficient, NoiseReport
-    from calrig.model.result import Result
     from calrig.model.service import KnownUser, Membership, RigState
     from calrig.settings import RigSettings
     from calrig.store.moving import Moved
@@ -147,7 +146,7 @@ def print_result(run: RunRecord) -> None:
     if run.result is not None:
         headings = ("", "value", "u, type A (noise)", "u, type B (stage)")
         where = "imported" if run.plan is None else f"on {run.rig}"
-        print_table(headings, _rows_of(run.result), title=f"run {run.id}: unit {run.unit}, {where}")
+        print_table(headings, _rows_of(run), title=f"run {run.id}: unit {run.unit}, {where}")
         print_warnings(run.provenance.get("warnings", ()))
     if run.verdict is not None:
         _print_sentences(run.verdict.says)
@@ -157,14 +156,36 @@ def print_result(run: RunRecord) -> None:
         _print_sentences([f"{of}`calrig solve {run.id}` takes all {len(mounts_deg)} mounts together."])
 
 
-def _rows_of(result: Result) -> Iterable[tuple[str, ...]]:
-    stage, temperature, gyro = result.reference, result.temperature_c, result.gyro
-    bias = result.bias_deg, result.bias_std_deg, stage.bias_std_deg if stage else None
-    scale = result.scale, result.scale_std, stage.scale_std if stage else None
-    yield "bias", *(number(value, "°") for value in bias)
-    yield "scale", *(number(value, "", 6) for value in scale)
+def _rows_of(run: RunRecord) -> Iterable[tuple[str, ...]]:
+    """The figures that the verdict judges, with accepted effects; below them the plain fit, if it differs.
+
+    A verification measures errors of indication, no bias and no scale.
+    """
+    result = run.result
+    assert result is not None  # noqa: S101 (as the caller looks for it)
+    stage, temperature, gyro, over = result.reference, result.temperature_c, result.gyro, result.over_range
+    of_stage = (stage.bias_std_deg, stage.scale_std) if stage else (None, None)
+    plain: tuple[tuple[float, float | None], tuple[float | None, float | None]]
+    plain = (result.bias_deg, result.bias_std_deg), (result.scale, result.scale_std)
+    if (run.plan or {}).get("kind") == "verification":
+        if over is not None:
+            yield "mean error of indication", number(over.mean_error_deg, "°")
+            ends = min(over.lowest_error_deg), max(over.highest_error_deg)
+            yield "errors of indication", " to ".join(number(end, "°") for end in ends)
+    else:
+        bias, scale = plain
+        if result.rms_with_effects_deg is not None and over is not None and over.covariance is not None:
+            bias = over.bias_deg, math.sqrt(over.covariance[0][0])
+            scale = over.scale, math.sqrt(over.covariance[1][1])
+        yield "bias", *(number(value, "°") for value in (*bias, of_stage[0]))
+        yield "scale", *(number(value, "", 6) for value in (*scale, of_stage[1]))
+        if bias != plain[0]:
+            yield "plain fit: bias", *(number(value, "°") for value in plain[0])
+            yield "plain fit: scale", *(number(value, "", 6) for value in plain[1])
     yield "RMS raw", number(result.rms_raw_deg, "°")
     yield "RMS calibrated", number(result.rms_calibrated_deg, "°")
+    if result.rms_with_effects_deg is not None:
+        yield "RMS with effects", number(result.rms_with_effects_deg, "°")
     yield "standard error of a reading", number(result.noise_deg, "°")
     yield "poses", str(result.n_poses)
     lowest, highest = (temperature.min, temperature.max) if temperature else (None, None)

@@ -4,38 +4,70 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from calrig.cli import options
 from calrig.cli.input_files import in_utf8, read_bytes
-from calrig.cli.options import COLUMNS, Db, Json, Rig, Server, UnitSerial
+from calrig.cli.options import COLUMNS, Db, Json, Server, UnitSerial
 from calrig.cli.running_service import running_service
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.client import Client, Run
+    from calrig.model.result import StatedKind
 
 
 def import_(
     file: Annotated[Path, typer.Argument(metavar="FILE.csv", help=f"Poses, one row each. {COLUMNS}")],
     unit: UnitSerial,
-    rig: Rig = None,
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Rig that measured the poses; none by default.", autocompletion=options.rigs
+        ),
+    ] = None,
+    reference_std: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG",
+            help="Standard uncertainty of the reference angles. Default: the file's, else the rig's.",
+        ),
+    ] = None,
+    reference_kind: Annotated[
+        Literal["setting", "harmonic", "common"] | None,
+        typer.Option(
+            help="How the reference's error is shared: each pose anew, a smooth error of the full rotation "
+            "(the default), or common to all poses."
+        ),
+    ] = None,
     db: Db = None,
     server: Server = None,
 ) -> None:
     """Import a CSV of poses as a run and print its id; its verdict goes to standard error."""
+    if reference_std is None and reference_kind is not None:
+        raise InputError(f"--reference-kind {reference_kind} states no uncertainty: add --reference-std DEG")
+    if reference_std is not None:
+        from calrig.model.result import MOST_REFERENCE_STD_DEG
+
+        if not 0.0 < reference_std <= MOST_REFERENCE_STD_DEG:
+            raise InputError(
+                f"--reference-std is {reference_std:g}, not above 0 and at most {MOST_REFERENCE_STD_DEG:g}"
+            )
     there = running_service(server, db)
     if there is not None:
         from calrig.cli.output import print_says
 
-        record = _imported_there(there, file, unit, rig).record
+        record = _imported_there(there, file, unit, rig, reference_std, reference_kind).record
         typer.echo(record.id)
         print_says(record.verdict.says if record.verdict else ())
         return
 
     from calrig.analysis.amendments import Records
+    from calrig.analysis.imports import ImportOrigin
     from calrig.analysis.limits import keep_configured
+    from calrig.analysis.mending import mend
     from calrig.analysis.revisions import Issuer, Releases
     from calrig.cli.output import print_says
     from calrig.cli.progress import late_bar
@@ -49,21 +81,42 @@ def import_(
         keep_configured(settings, store)
         issuer = Issuer(store, Releases.of(settings.rig))
         issuer.bring_over()
+        mend(store, issuer)
         with late_bar("importing") as told:
             made = Records(store, issuer).import_poses(
-                unit=unit, rig=rig, file_name=name, content=content, progress=told
+                unit=unit,
+                rig=rig,
+                file_name=name,
+                content=content,
+                origin=ImportOrigin.of(rig, settings.rig, reference_std, reference_kind),
+                progress=told,
             )
     typer.echo(made.id)
     if made.verdict is not None:
         print_says(made.verdict.says)
 
 
-def _imported_there(client: Client, file: Path, unit: str, rig: str | None) -> Run:
+def _imported_there(
+    client: Client,
+    file: Path,
+    unit: str,
+    rig: str | None,
+    reference_std_deg: float | None,
+    reference_kind: StatedKind | None,
+) -> Run:
     from calrig.cli.progress import late_bars
 
     with late_bars() as step:
         sent, told = step(f"sending {file.name}"), step("importing")
-        return client.import_poses(file, unit, rig=rig, sent=sent, told=told)
+        return client.import_poses(
+            file,
+            unit,
+            rig=rig,
+            reference_std_deg=reference_std_deg,
+            reference_kind=reference_kind,
+            sent=sent,
+            told=told,
+        )
 
 
 def backup(
@@ -81,6 +134,8 @@ def backup(
     made = back_up(store_url(db), file)
     size_mb = made.size_bytes / 1e6
     typer.echo(f"{file}: {made.runs} runs, {made.poses} poses, {size_mb:.1f} MB")
+    if made.trail_seq:
+        typer.echo(f"newest entry of the audit log: {made.trail_seq}, SHA-256 {made.trail_sha256}")
 
 
 Named = Annotated[

@@ -1,8 +1,8 @@
-"""`run`: one calibration from the terminal, which Ctrl-C aborts, here or at a running service."""
+"""`run` and `resume`: a calibration from the terminal, which Ctrl-C aborts, here or at a running service."""
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calrig.cli.input_files import read_plan_file
-from calrig.cli.options import Config, Db, Json, Record, Rig, Server, StageAt, UnitSerial
-from calrig.cli.running_service import running_service
+from calrig.cli.options import Config, Db, Json, Record, Rig, Server, StageAt, UnitSerial, whole_id
+from calrig.cli.running_service import running_service, whole_id_there
+from calrig.cli.watch import RunId
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
@@ -87,3 +88,55 @@ def refuse_own_rigs(command: str, there: Client, config: str | None, record: Pat
                 f"{command}: {option} is for `calrig serve`: the service at {there.server} holds the store, "
                 "and its rigs and wires are its own"
             )
+
+
+if TYPE_CHECKING:
+    from calrig.client import Client
+
+
+def resume(
+    run_id: RunId,
+    stage_at: StageAt = None,
+    as_json: Json = False,
+    record: Record = None,
+    db: Db = None,
+    config: Config = None,
+    server: Server = None,
+) -> None:
+    """Resume an interrupted run, or one that is paused at the service; Ctrl-C aborts it.
+
+    Rig, board and stage have to be the same, and the unit untouched: the last pose is measured once more.
+    Of a stage without homing that was on its way, say where it stands (`--stage-at`).
+    """
+    from calrig.cli.followed_run import FollowedRun
+    from calrig.cli.progress import carry_out
+
+    with ExitStack() as stack:
+        client = running_service(server, db)
+        if client is not None:
+            refuse_own_rigs("resume", client, config, record)
+        else:
+            client = stack.enter_context(_local_client(run_id, record, db, config))
+        found = client.run(whole_id_there(client, run_id))
+
+        def resumed() -> FollowedRun:
+            found.resume(stage_at_deg=stage_at)
+            return FollowedRun(client, found)
+
+        carry_out(resumed, found.unit, as_json=as_json)
+
+
+def _local_client(
+    run_id: str, record: Path | None, db: str | None, config: str | None
+) -> AbstractContextManager[Client]:
+    """A client of this process with the rig of a run."""
+    from calrig.analysis.stored_runs import stored_run
+    from calrig.cli.local_service import local_client
+    from calrig.settings import load_settings, store_url
+    from calrig.store import Store
+
+    url, settings = store_url(db), load_settings(config)
+    with Store.open(url, writer=None) as store:
+        run = stored_run(store, whole_id(store, run_id))
+    rigs = () if run.rig is None else (rig_named(settings, run.rig),)  # an imported one is refused in words
+    return local_client(url, "resume", rigs, settings, record)

@@ -27,7 +27,7 @@ def running_service(server: str | None, db: str | None) -> Client | None:
         InputError: `server` is no address.
     """
     if server and is_named(server, db):
-        return _client(server)
+        return client_at(server)
     from calrig.settings import store_url
     from calrig.store.engines import is_centre
     from calrig.store.sqlite.database import database_path
@@ -35,7 +35,7 @@ def running_service(server: str | None, db: str | None) -> Client | None:
 
     url = store_url(db)
     address = None if is_centre(url) else answering_at(database_path(url))
-    return None if address is None else _client(address)
+    return None if address is None else client_at(address)
 
 
 def is_named(server: str | None, db: str | None) -> bool:
@@ -50,7 +50,8 @@ def whole_id_there(client: Client, typed: str) -> str:
     return the_one(typed, [run.id for run in client.runs(begins=typed.lower(), limit=LISTED + 1)])
 
 
-def _client(address: str) -> Client:
+def client_at(address: str) -> Client:
+    """A client of the service at an address, with CALRIG_TOKEN."""
     from calrig.client import Client
 
     return Client(address)

@@ -240,7 +240,8 @@ def _print_verdict(found: SolutionDocument) -> None:
 
 def _print_stage(found: SolutionDocument) -> None:
     """Print the stage map, the errors before and after, and warnings."""
-    error, orders = found.stage.map.error_deg, len(found.stage.harmonics)
+    error = [value for value in found.stage.map.error_deg if value is not None]
+    orders = len(found.stage.harmonics)
     print_line(f"map of the stage: {min(error):+.3f}° to {max(error):+.3f}°, {orders} orders")
     for name in ("axis_dip_deg", "backlash_deg"):
         print_parameter(name, getattr(found.stage, name, None))

@@ -10,10 +10,10 @@ import typer
 
 from calrig.cli.exit_status import ASK_IT, Listed
 from calrig.cli.options import Db, Json, Server
+from calrig.cli.running_service import client_at
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
-    from calrig.client import Client
     from calrig.store import Store
 
 app = typer.Typer(
@@ -59,7 +59,7 @@ def add(
         from calrig.client.transport import part
 
         body = {"name": name, "role": role.value, "token": token}
-        made = part(_client(server).post("/api/users", body), "token")
+        made = part(client_at(server).post("/api/users", body), "token")
     else:
         with _store(db) as store:
             _, made = store.users.add(name, role.value, with_token=token)
@@ -73,7 +73,7 @@ def token(name: Name, db: Db = None, server: Server = None) -> None:
     if server:
         from calrig.client.transport import part
 
-        made = part(_client(server).post(f"{_path(name)}/token", {}), "token")
+        made = part(client_at(server).post(f"{_path(name)}/token", {}), "token")
     else:
         with _store(db) as store:
             _, made = store.users.new_token(name)
@@ -89,7 +89,7 @@ def role(
 ) -> None:
     """Give a user another role."""
     if server:
-        _client(server).post(f"{_path(name)}/role", {"role": role.value})
+        client_at(server).post(f"{_path(name)}/role", {"role": role.value})
     else:
         with _store(db) as store:
             store.users.set_role(name, role.value)
@@ -99,7 +99,7 @@ def role(
 def disable(name: Name, db: Db = None, server: Server = None) -> None:
     """Disable a user's token and logins; what they did stays theirs."""
     if server:
-        _client(server).post(f"{_path(name)}/disable", {})
+        client_at(server).post(f"{_path(name)}/disable", {})
     else:
         with _store(db) as store:
             store.users.disable(name)
@@ -114,7 +114,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
     if server:
         from calrig.client.documents import each
 
-        users = each(KnownUser, _client(server).get("/api/users"))
+        users = each(KnownUser, client_at(server).get("/api/users"))
     else:
         from calrig.settings import store_url
         from calrig.store import Store
@@ -125,12 +125,6 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
         print_json([user.model_dump(mode="json") for user in users])
     else:
         print_users(users)
-
-
-def _client(server: str) -> Client:
-    from calrig.client import Client
-
-    return Client(server)
 
 
 def _store(db: str | None) -> Store:

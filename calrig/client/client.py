@@ -15,6 +15,7 @@ from calrig.model.comparison import Comparison
 from calrig.model.diagnosis import Diagnosis
 from calrig.model.noise import FiltersStudy, NoiseStudy
 from calrig.model.plan_design import Estimate
+from calrig.model.result import StatedKind
 from calrig.model.run import Status
 from calrig.model.service import RigState
 from calrig.model.solution import Frame, Solution
@@ -60,16 +61,7 @@ class Client(Transport):
             Refused: the rig is busy or does not exist.
             Invalid: the plan or the serial number is wrong.
         """
-        said: dict[str, object] = {
-            "rig": rig,
-            "operator": operator,
-            "note": note,
-            "stage_at_deg": stage_at_deg,
-        }
-        body: dict[str, object] = {
-            "unit": unit,
-            **{key: value for key, value in said.items() if value is not None},
-        }
+        body = _given(unit=unit, rig=rig, operator=operator, note=note, stage_at_deg=stage_at_deg)
         if plan is not None:
             body["plan"] = _plain(plan)
         if queue:
@@ -98,8 +90,7 @@ class Client(Transport):
             begins: first characters of their ids.
             limit: how many at most, up to 500.
         """
-        wanted = {"unit": unit, "rig": rig, "status": status, "begins": begins, "limit": limit}
-        query = urlencode({key: value for key, value in wanted.items() if value is not None})
+        query = urlencode(_given(unit=unit, rig=rig, status=status, begins=begins, limit=limit))
         return each(RunRecord, part(self.get(f"/api/runs?{query}"), "items"))
 
     def estimate(
@@ -147,18 +138,8 @@ class Client(Transport):
         Raises:
             Invalid: no plan reaches it; says what would.
         """
-        wanted: dict[str, object] = {
-            "rig": rig,
-            "target_u_deg": target_u_deg,
-            "time_s": time_s,
-            "until": until and dict(until),
-        }
-        body: dict[str, object] = {
-            "unit": unit,
-            "trace": trace,
-            "sweep": sweep,
-            **{k: v for k, v in wanted.items() if v is not None},
-        }
+        wanted = _given(rig=rig, target_u_deg=target_u_deg, time_s=time_s, until=until and dict(until))
+        body = {"unit": unit, "trace": trace, "sweep": sweep, **wanted}
         if keep is not None:
             body["plan"] = _plain(keep)
         return typed(PlanDesign, outcome(self, self.post("/api/plans/design?wait=false", body), told))
@@ -169,6 +150,8 @@ class Client(Transport):
         unit: str,
         *,
         rig: str | None = None,
+        reference_std_deg: float | None = None,
+        reference_kind: StatedKind | None = None,
         sent: Told = ignore_progress,
         told: Told = ignore_progress,
     ) -> Run:
@@ -178,13 +161,17 @@ class Client(Transport):
             file: its path; it is read as it is sent.
             unit: serial number.
             rig: where it was measured.
+            reference_std_deg: standard uncertainty of the reference angles; None for the file's, else the
+                rig's.
+            reference_kind: how its error is shared among poses; None for `harmonic`.
             sent: is told the share that is sent.
             told: is told the share that is read.
 
         Raises:
             Invalid: the file is no such CSV; says line and column.
         """
-        fields = {"unit": unit} | ({} if rig is None else {"rig": rig})
+        std = None if reference_std_deg is None else repr(reference_std_deg)
+        fields = _given(unit=unit, rig=rig, reference_std_deg=std, reference_kind=reference_kind)
         return Run(self, typed(RunRecord, self._of_file("/api/imports", file, fields, sent, told)))
 
     def noise(
@@ -210,7 +197,7 @@ class Client(Transport):
         Raises:
             Invalid: the file is no such log; says line and column.
         """
-        fields = _given(rate_hz, accel_range_g, gyro_range_dps)
+        fields = _given(rate_hz=rate_hz, accel_range_g=accel_range_g, gyro_range_dps=gyro_range_dps)
         return typed(NoiseStudy, self._of_file("/api/noise", file, fields, sent, told))
 
     def filters(
@@ -224,7 +211,7 @@ class Client(Transport):
         told: Told = ignore_progress,
     ) -> FiltersStudy:
         """Filters side by side on a log with rest and motion; arguments and errors as of `noise`."""
-        fields = _given(rate_hz, accel_range_g, gyro_range_dps)
+        fields = _given(rate_hz=rate_hz, accel_range_g=accel_range_g, gyro_range_dps=gyro_range_dps)
         return typed(FiltersStudy, self._of_file("/api/filters", file, fields, sent, told))
 
     def diagnose(
@@ -276,8 +263,11 @@ class Client(Transport):
         }
         return typed(Solution, outcome(self, self.post("/api/solve?wait=false", body), told))
 
-    def _of_file(self, path: str, file: str | Path, fields: Mapping[str, str], sent: Told, told: Told) -> Any:
-        return outcome(self, self.upload(f"{path}?wait=false", Path(file), fields, sent), told)
+    def _of_file(
+        self, path: str, file: str | Path, fields: Mapping[str, object], sent: Told, told: Told
+    ) -> Any:
+        texts = {name: str(value) for name, value in fields.items()}
+        return outcome(self, self.upload(f"{path}?wait=false", Path(file), texts, sent), told)
 
     def compare(self, *units: str) -> Comparison:
         """Units side by side; all of them without any."""
@@ -331,16 +321,13 @@ class Client(Transport):
         return write_new(Path(file), self.pieces(f"/api/units/{quote(unit, safe='')}/archive"))
 
 
-def _given(
-    rate_hz: float | None, accel_range_g: float | None, gyro_range_dps: float | None
-) -> dict[str, str]:
-    of_log = {"rate_hz": rate_hz, "accel_range_g": accel_range_g, "gyro_range_dps": gyro_range_dps}
-    return {name: str(value) for name, value in of_log.items() if value is not None}
+def _given(**fields: object) -> dict[str, object]:
+    """The fields that have a value."""
+    return {name: value for name, value in fields.items() if value is not None}
 
 
 def _calibration(unit: str, revision: int | None = None, form: str | None = None) -> str:
-    wanted = {"revision": revision, "format": form}
-    query = urlencode({key: value for key, value in wanted.items() if value is not None})
+    query = urlencode(_given(revision=revision, format=form))
     path = f"/api/units/{quote(unit, safe='')}/calibration"
     return f"{path}?{query}" if query else path
 

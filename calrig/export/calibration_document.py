@@ -158,6 +158,7 @@ def calibration_content(
         "accelerometer": None,
         "uncertainty": {**worth.to_dict(), **_by_map(elevations, line, reference, provenance or {})},
         "temperature_c": figures["temperature_c"],
+        "degrees_of_freedom": None if result.over_range is None else result.over_range.freedom,
     }
 
 

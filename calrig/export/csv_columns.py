@@ -33,6 +33,7 @@ class Column:
         is_known: whether the name is one of those looked for.
         is_clock: whether its cells are times of day (ISO 8601), read as seconds since the first.
         first: the first of these, once read.
+        decimal: the decimal sign of its cells where that is not the file's; empty where it is.
     """
 
     text: str
@@ -43,6 +44,7 @@ class Column:
     is_known: bool = False
     is_clock: bool = False
     first: datetime | None = None
+    decimal: str = ""
 
     @property
     def is_converted(self) -> bool:
@@ -52,7 +54,7 @@ class Column:
     @property
     def is_text(self) -> bool:
         """Whether a cell may be any text."""
-        return not self.is_known or self.name in {"unit", "mount", "mount_axis"}
+        return not self.is_known or self.name in {"unit", "mount", "mount_axis", "reference_kind"}
 
 
 _BRACKETS = re.compile(r"(.+?)[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]")
@@ -244,6 +246,9 @@ def header_notes(columns: Sequence[Column], known: Collection[str]) -> list[str]
         if column.is_known and (column.name != column.text or column.is_clock)
     ]
     notes = [f"columns are read: {', '.join(renamed)}"] if renamed else []
+    own = [shortened(column.text) for column in columns if column.decimal]
+    if own:
+        notes.append(f"another decimal sign than in the other columns is read in: {', '.join(own)}")
     missing = [name for name in known if name not in {column.name for column in columns}]
     near = [
         f"{shortened(column.text)} ({DID_YOU_MEAN} {_with_unit(name, column.text)}?)"
@@ -300,3 +305,20 @@ def there_are(names: Sequence[str] | Mapping[str, object]) -> str:
     shown = ", ".join(name for name in texts[:MOST_NAMED] if name) or "none with a name"
     more = f" and {len(texts) - MOST_NAMED} more" if len(texts) > MOST_NAMED else ""
     return f"there are: {shown}{more} (calrig/docs/reference/file-formats.md lists the columns)"
+
+
+_DECIMALS = {
+    sign: re.compile(
+        rf"[+\-−]?(?:[0-9]*{re.escape(sign)}(?![0-9]{{3}}(?![0-9]))|0{re.escape(sign)})[0-9]+\D{{0,6}}"
+    )
+    for sign in ",."
+}
+"""Numbers with a decimal sign that cannot be one of thousands."""
+
+
+def own_decimal(cells: Sequence[str], decimal: str) -> str:
+    """Return the other decimal sign where a column has no other, and no cell may mean thousands; else ''."""
+    other = "," if decimal == "." else "."
+    with_it = [cell for cell in cells if other in cell]
+    is_other = with_it and not any(decimal in cell for cell in cells)
+    return other if is_other and all(map(_DECIMALS[other].fullmatch, with_it)) else ""

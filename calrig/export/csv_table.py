@@ -28,6 +28,7 @@ from calrig.export.csv_columns import (
     header_notes,
     missing_columns,
     names_a_known,
+    own_decimal,
     refuse_bad_names,
 )
 from calrig.export.csv_errors import CsvError, CsvReport, shortened
@@ -73,14 +74,10 @@ def _dialect_of(header: str, rows: bytes, is_known: Callable[[str], bool]) -> Di
 
 def _known(header: str, separator: str, is_known: Callable[[str], bool]) -> tuple[int, int]:
     """How many names a separator makes that are known, and how many at all."""
-    names = [name.strip().strip('"') for name in _unquoted(header, separator).split(separator)]
+    bare = _QUOTED.sub(lambda quoted: quoted[0].replace(separator, " "), header)
+    names = [name.strip().strip('"') for name in bare.split(separator)]
     n_known = sum(map(is_known, names[:MAX_COLUMNS]))
     return n_known, 0 if n_known else len(names)
-
-
-def _unquoted(header: str, separator: str) -> str:
-    """The header with what is quoted free of the separator."""
-    return _QUOTED.sub(lambda quoted: quoted[0].replace(separator, " "), header)
 
 
 def _n_decimals(rows: bytes, separator: str, decimal: str) -> int:
@@ -101,6 +98,8 @@ _UNKNOWN = frozenset({"", "nan", "na", "n/a", "null", "none"})
 _NOT_AVAILABLE = ("#n/a", "#na", "#nv")
 _NOT_AVAILABLE_BYTES = tuple(text.encode() for text in _NOT_AVAILABLE)
 """A spreadsheet's word for a value that is not known, in English and German."""
+_ERROR = re.compile(r"#[^\W_]+(?:/0)?[!?]")
+"""What a spreadsheet shows in place of a value that it cannot calculate: `#DIV/0!`, `#WERT!`, `#NAME?`."""
 _WITH_UNIT = re.compile(r"([+\-−]?[0-9.,]+(?:[eE][+-]?[0-9]+)?)\s*(.*)", re.DOTALL)
 _CLOCK = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}.*")
 
@@ -263,7 +262,8 @@ class Layout:
     def is_comment(self, line: str) -> bool:
         """Return whether a line that begins with `#` is a comment, and no row with `#N/A` or a text first."""
         cells = line.strip().split(self.dialect.separator)
-        if not cells[0].startswith("#") or cells[0].strip().lower() in _NOT_AVAILABLE:
+        first = cells[0].strip()
+        if not first.startswith("#") or first.lower() in _NOT_AVAILABLE or _ERROR.fullmatch(first):
             return False
         return len(cells) != len(self.columns) or not self.columns[0].is_text
 
@@ -278,8 +278,8 @@ class Table:
 
     def column(self, place: int) -> Cells:
         """Return the cells of one column."""
-        texts = [row[place] for row in self.rows]
-        return Cells(self.layout.columns[place], texts, self.lines, self.layout.dialect.decimal)
+        column, texts = self.layout.columns[place], [row[place] for row in self.rows]
+        return Cells(column, texts, self.lines, column.decimal or self.layout.dialect.decimal)
 
 
 def read_tables(
@@ -442,13 +442,11 @@ def _is_of_units(row: _Row, dialect: Dialect, width: int) -> bool:
         cells = [cell.strip() for cell in _cells(row, dialect)] if row.text else []
     except CsvError:  # it is told where rows are read
         return False
-    numbers = (NUMBER.fullmatch(cell.replace(",", ".")) or _CLOCK.fullmatch(cell) for cell in cells)
-    words = _UNKNOWN - {""}
     return (
         len(cells) == width
         and any(unit_of_text(cell) for cell in cells)
-        and not any(numbers)
-        and not any(cell.lower() in words for cell in cells)
+        and not any(map(_WITH_UNIT.match, cells))
+        and not any(cell.lower() in _UNKNOWN - {""} for cell in cells)
     )
 
 
@@ -465,6 +463,8 @@ def _read_by_cells(
     if "time_s" in named or len(unnamed) > 1:
         unnamed = []
     for place, column in enumerate(columns):
+        if dialect.separator != "," and column.name not in required:
+            column.decimal = own_decimal(_first_cells(rows, place, dialect), dialect.decimal)
         is_other = column.is_known and column.text != column.name and column.name not in required
         is_clock = (column.is_known and column.name in CLOCK_NAMES) or any(c is column for c in unnamed)
         if not is_clock and not is_other:

@@ -9,15 +9,17 @@ import math
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import cast, get_args, overload
 
 from calrig.calibration.poses import COLUMNS, HOST_TIME, INTEGER, MOUNT_DEG, OF_MOUNTS, REQUIRED, Pose
 from calrig.calibration.separation import FACES, MountedPoses
 from calrig.export.csv_errors import CsvError, CsvReport
 from calrig.export.csv_table import Cells, for_spreadsheet, from_spreadsheet, read_tables
+from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
 
 __all__ = [
     "CsvError",
+    "FileReference",
     "ImportedPoses",
     "PoseColumns",
     "Texts",
@@ -157,7 +159,11 @@ def read_labelled_columns(
         for place, column in enumerate(columns):
             if column.name in labels:
                 cells, said = table.column(place), texts.setdefault(column.name, Texts([], []))
-                said.texts.extend(from_spreadsheet(text.strip()) for text in cells.texts)
+                if column.name == REFERENCE_STD:  # as a number, which its unit and its decimal comma change
+                    values = cells.numbers(report)
+                    said.texts.extend("" if value is None else repr(value) for value in values)
+                else:
+                    said.texts.extend(from_spreadsheet(text.strip()) for text in cells.texts)
                 said.lines.extend(cells.lines)
             else:
                 column.take(table.column(place), report)
@@ -275,12 +281,21 @@ def _is_count(value: float | None) -> bool:
 
 AXIS = "mount_axis"
 LABELS = ("unit", "mount", AXIS)
-_KNOWN = (*COLUMNS, *OF_MOUNTS, "velocity_dps", HOST_TIME, *LABELS)
+REFERENCE_STD, REFERENCE_KIND = "reference_std_deg", "reference_kind"
+_KNOWN = (*COLUMNS, *OF_MOUNTS, "velocity_dps", HOST_TIME, *LABELS, REFERENCE_STD, REFERENCE_KIND)
+
+
+@dataclass(frozen=True, slots=True)
+class FileReference:
+    """The reference that a file of poses states in its columns; `kind` is None if it has no such column."""
+
+    std_deg: float
+    kind: StatedKind | None
 
 
 def read_run(
     data: bytes, unit: str, progress: Callable[[float], None] | None = None
-) -> tuple[PoseColumns, str, list[str]]:
+) -> tuple[PoseColumns, str, list[str], FileReference | None]:
     """The poses of a file that is to be a run, in the order measured, and how they are clamped.
 
     A run is of one unit, has one of its axes along the stage's, and one clamping at each angle.
@@ -291,19 +306,20 @@ def read_run(
         progress: gets the share of the file that is read, 0 to 1.
 
     Returns:
-        The poses, the axis along the stage's, and what is to be said.
+        The poses, the axis along the stage's, what is to be said, and the reference that the file states.
 
     Raises:
-        CsvError: the file is no table of poses, or they are of several runs.
+        CsvError: the file is no table of poses, or they are of several runs or references.
     """
-    poses, texts, warnings = read_labelled_columns(data, LABELS, progress)
+    labels = (*LABELS, REFERENCE_STD, REFERENCE_KIND)
+    poses, texts, warnings = read_labelled_columns(data, labels, progress)
     if "unit" in texts and (serial := _one(texts["unit"], "unit")) not in {unit, ""}:
         warnings.append(f"the file says that these poses are of unit {serial}")
     axis = _axis(texts[AXIS]) if AXIS in texts else "x"
     if "mount" in texts:
         _refuse_two_in_one(texts["mount"], poses.cells(MOUNT_DEG))
     ordered, of_time = poses.in_time()
-    return ordered, axis, [*warnings, *([of_time] if of_time else [])]
+    return ordered, axis, [*warnings, *([of_time] if of_time else [])], _file_reference(texts)
 
 
 def read_about_x(data: bytes) -> tuple[list[Pose], list[str]]:
@@ -332,6 +348,28 @@ def _one(column: Texts, name: str) -> str:
 
 
 _ALONE = "make a file of each, and a run of each file, or solve the file as it is"
+
+
+def _file_reference(texts: dict[str, Texts]) -> FileReference | None:
+    """Return the reference that columns of the file state; None if their cells are all blank."""
+    stds, kinds = (texts.get(name, Texts([], [])) for name in (REFERENCE_STD, REFERENCE_KIND))
+    kinds = Texts([text.lower() for text in kinds.texts], kinds.lines)
+    for text, line in zip(stds.texts, stds.lines, strict=True):
+        if text and not 0.0 < float(text) <= MOST_REFERENCE_STD_DEG:
+            said = f"{text} is not above 0 and at most {MOST_REFERENCE_STD_DEG:g}"
+            raise CsvError(said, line=line, column=REFERENCE_STD)
+    allowed = get_args(StatedKind)
+    for text, line in zip(kinds.texts, kinds.lines, strict=True):
+        if text not in (*allowed, ""):
+            raise CsvError(f"{text!r} is none of {', '.join(allowed)}", line=line, column=REFERENCE_KIND)
+    std, kind = _one(stds, REFERENCE_STD), _one(kinds, REFERENCE_KIND)
+    if std:
+        return FileReference(float(std), cast(StatedKind, kind) if kind else None)
+    if kind:
+        line = next(line for text, line in zip(kinds.texts, kinds.lines, strict=True) if text)
+        said = f"states no uncertainty: add a column {REFERENCE_STD}"
+        raise CsvError(said, line=line, column=REFERENCE_KIND)
+    return None
 
 
 def _axis(column: Texts) -> str:

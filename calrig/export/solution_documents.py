@@ -26,6 +26,7 @@ from calrig.calibration.separation import (
     accelerometer_document,
     gyro_document,
     level_document,
+    local_document,
     map_document,
     mapped,
     parameters_of,
@@ -46,7 +47,9 @@ _EFFECTS: dict[str, tuple[str, ...]] = {
     "temperature_offset": ("y_mg_per_c", "z_mg_per_c", "reference_c"),
 }
 """Of the catalogue, and their parameters among those of a unit."""
-_ADDED = {"y_mg", "z_mg", "y_mg_per_c", "z_mg_per_c", *_CURVATURES}
+_QUARTIC = ("y_mg_per_g4", "z_mg_per_g4")
+"""Of `CURVED` as well, where the poses show them."""
+_ADDED = {"y_mg", "z_mg", "y_mg_per_c", "z_mg_per_c", *_CURVATURES, *_QUARTIC}
 """Added to a vector that is longer than 1 g by the common gain; in the catalogue's vector there is none."""
 
 
@@ -110,6 +113,7 @@ def unit_document(
                 "reference_deg": uncertainty_deg,
             },
             "temperature_c": _temperatures(table, unit),
+            "degrees_of_freedom": fit.freedom,
             "provenance": {
                 "solved_from": list(table.sources),
                 "units": list(table.units),
@@ -132,7 +136,11 @@ def effects_of(solution: Solution, unit: int) -> list[dict[str, Any]]:
     return [
         {
             "name": name,
-            "parameters": {parameter: numbers[parameter] for parameter in parameters},
+            "parameters": {
+                parameter: numbers[parameter]
+                for parameter in (*parameters, *(_QUARTIC if name == CURVED else ()))
+                if parameter in numbers
+            },
             "formula": effect_of(name).formula,
         }
         for name, parameters in _EFFECTS.items()
@@ -142,15 +150,16 @@ def effects_of(solution: Solution, unit: int) -> list[dict[str, Any]]:
 
 def stage_map_document(solution: Solution, rig: str | None = None) -> dict[str, Any]:
     """Return the stage's map: over its dial, and as the series itself with its covariance."""
-    on_stage = mapped(solution.fit)
+    on_stage = mapped(solution)
     document = {
         "schema": MAP_SCHEMA,
         "rig": rig,
         "model": "error = Σ (cos_k·cos kψ + sin_k·sin kψ) + backlash/2·approach, ψ the dial's angle",
-        "orders": list(solution.fit.problem.orders),
+        "orders": list(on_stage.orders),
         "coefficients_deg": on_stage.coefficients.tolist(),
         "covariance_deg2": on_stage.covariance.tolist(),
         "map": map_document(on_stage),
+        **local_document(on_stage.regions, on_stage.gaps_deg),
         "units": list(solution.table.units),
         "solved_from": list(solution.table.sources),
         "separable": solution.are_separable,

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from calrig.calibration.regression import MG
-from calrig.calibration.results import effects_at_rest
+from calrig.calibration.results import effects_at_rest, effects_on_reading_deg
 from calrig.estimation.angles import FloatArray
 
 LONGEST_LINE = 160
 HELD = frozenset({"accelerometer_offset", "axis_mismatch", "temperature_offset"})
-"""Effects that an offset, a scale or a matrix holds; any other stays out of such a format, and it is said."""
+"""Effects that an offset, a scale or a matrix holds."""
+CURVES = frozenset({"axis_nonlinearity", "nonlinearity"})
+"""Effects whose best straight line these hold; any other stays out of such a format, and it is said."""
+STEEPEST_DEG = 80.0
+"""Beyond it an angle says next to nothing of y; as in the effect `nonlinearity`."""
+GRID = 721
 
 
 class NotHeldError(ValueError):
@@ -32,6 +38,7 @@ class Accelerometer:
         reference_c: None where no axis follows it.
         is_whole: all nine numbers of the matrix are measured.
         left_out: effects of the document that are not in these, and bias and scale where there are any.
+        curve_left_mg: (3,) RMS of what the best straight line leaves of the axes' curves; 0 without any.
     """
 
     bias_g: FloatArray
@@ -40,6 +47,18 @@ class Accelerometer:
     reference_c: float | None
     is_whole: bool
     left_out: tuple[str, ...]
+    curve_left_mg: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def curve_says(self) -> list[str]:
+        """What the straight line leaves of curves, for a comment; nothing where there are none."""
+        if not self.curve_left_mg.any():
+            return []
+        left = ", ".join(
+            f"{axis} {mg:.2g} mg" for axis, mg in zip("xyz", self.curve_left_mg, strict=True) if mg
+        )
+        over = "all directions" if self.is_whole else "the calibrated elevations"
+        return [f"curves of the axes: best straight line over {over}; RMS of what it leaves: {left}"]
 
     @property
     def known(self) -> list[int]:
@@ -81,17 +100,16 @@ def accelerometer_of(document: Mapping[str, Any]) -> Accelerometer | None:
     values = {name: dict(parameters) for name, parameters in effects}
     warm = values.get("temperature_offset", {})
     per_c = MG * np.array([0.0, warm.get("y_mg_per_c", 0.0), warm.get("z_mg_per_c", 0.0)])
-    left_out = [name for name in values if name not in HELD]
+    left_out = [name for name in values if name not in HELD | CURVES]
     found = document.get("accelerometer")
     if found:
         bias, matrix = np.array(found["bias_g"], dtype=float), np.array(found["matrix"], dtype=float)
-        left_out += (
-            ["quadratic and cubic terms"] if is_curved(found) and "axis_nonlinearity" not in values else []
-        )
-    elif values.keys() & HELD:
+        left_out += [name for name in values if name == "nonlinearity"]
+    elif values.keys() & (HELD | CURVES):
         offset, mismatch = values.get("accelerometer_offset", {}), values.get("axis_mismatch", {})
         at_rest = MG * np.array([offset.get("y_mg", 0.0), offset.get("z_mg", 0.0)])
-        bias = np.array([np.nan, *(at_rest if offset or mismatch else (np.nan, np.nan))])
+        is_known = offset or mismatch or values.keys() & CURVES
+        bias = np.array([np.nan, *(at_rest if is_known else (np.nan, np.nan))])
         gain = 1.0 + mismatch.get("gain_pct", 0.0) / 100.0
         matrix = np.eye(3)
         matrix[1, 1:] = 1.0 / gain, -np.sin(np.radians(mismatch.get("skew_deg", 0.0)))
@@ -99,13 +117,74 @@ def accelerometer_of(document: Mapping[str, Any]) -> Accelerometer | None:
         left_out += [name for name, value in line.items() if value]
     else:
         return None
-    return Accelerometer(bias, matrix, per_c, warm.get("reference_c"), bool(found), tuple(left_out))
+    along_g, curve_g = _curves(document, values)
+    offset_g, slope, left_mg = _straightened(along_g, curve_g)
+    gains = np.diag(np.linalg.inv(matrix))
+    # raw = bias + gain·u + curve(u) with true = S⁻¹·u: the line adds to bias and gain of each axis
+    matrix = matrix @ np.diag(gains / (gains + slope))
+    return Accelerometer(
+        bias + offset_g, matrix, per_c, warm.get("reference_c"), bool(found), tuple(left_out), left_mg
+    )
+
+
+def _curves(
+    document: Mapping[str, Any], values: Mapping[str, Mapping[str, float]]
+) -> tuple[FloatArray, FloatArray]:
+    """Return (n, 3) accelerations u along the axes, and what the axes' curves add there, both in g.
+
+    The whole accelerometer is calibrated in all directions, uniform over the sphere: each u is then uniform
+    between −1 g and 1 g (Archimedes). Of a calibration about x, elevations are uniform over its range.
+    """
+    found = document.get("accelerometer")
+    bent = values.get("axis_nonlinearity", {})
+    axes = MG * np.array(
+        [[0.0, bent.get(f"y_mg_per_{k}", 0.0), bent.get(f"z_mg_per_{k}", 0.0)] for k in ORDERS]
+    )
+    if found:
+        along_g = np.linspace(-1.0, 1.0, GRID)[:, None] * np.ones(3)
+        terms = np.vstack([curvature_of(found), axes[2:]]) if is_curved(found) else axes
+        return along_g, _polynomial_g(terms, along_g)
+    low_deg, high_deg = document["range_deg"]
+    theta_deg = np.linspace(low_deg, high_deg, GRID)
+    s, c = np.sin(np.radians(theta_deg)), np.cos(np.radians(theta_deg))
+    skew = math.sin(math.radians(bent.get("skew_deg", 0.0)))
+    along_g = np.column_stack([np.zeros(GRID), s + skew * c, c])
+    curve_g = _polynomial_g(axes, along_g)
+    if (by_angle := values.get("nonlinearity")) is not None:
+        turned_deg = effects_on_reading_deg([("nonlinearity", by_angle)], theta_deg)
+        steep = np.cos(np.radians(np.clip(theta_deg, -STEEPEST_DEG, STEEPEST_DEG)))
+        curve_g[:, 1] += np.radians(turned_deg) / steep
+    return along_g, curve_g
+
+
+def _straightened(along_g: FloatArray, curve_g: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the least-squares line of each axis' curve: (3,) offset in g, slope, RMS left in mg."""
+    about = along_g - along_g.mean(axis=0)
+    power = (about**2).sum(axis=0)
+    slope = np.divide((about * curve_g).sum(axis=0), power, out=np.zeros(3), where=power > 0.0)
+    offset_g = curve_g.mean(axis=0) - slope * along_g.mean(axis=0)
+    left_g = curve_g - offset_g - slope * along_g
+    left_mg = np.sqrt((left_g**2).mean(axis=0)) / MG
+    return offset_g, slope, np.where(curve_g.any(axis=0), left_mg, 0.0)
+
+
+ORDERS = ("g2", "g3", "g4")
+
+
+def _polynomial_g(terms: FloatArray, along_g: FloatArray) -> FloatArray:
+    """Return (n, 3) what terms of second, third and fourth order (3, 3) add to the axes."""
+    return np.asarray(sum(term * along_g**power for power, term in enumerate(terms, 2)), dtype=np.float64)
+
+
+def curvature_of(accelerometer: Mapping[str, Any]) -> FloatArray:
+    """Return (2, 3) quadratic (g/g²) and cubic (g/g³) terms of the axes."""
+    terms = [accelerometer.get(name) or np.zeros(3) for name in ("quadratic_g_per_g2", "cubic_g_per_g3")]
+    return np.array(terms, dtype=float)
 
 
 def is_curved(accelerometer: Mapping[str, Any]) -> bool:
     """Return whether it has quadratic or cubic terms other than 0."""
-    terms = [accelerometer.get(name) or [] for name in ("quadratic_g_per_g2", "cubic_g_per_g3")]
-    return any(value for values in terms for value in values)
+    return bool(curvature_of(accelerometer).any())
 
 
 def gyro_of(document: Mapping[str, Any]) -> Gyro:

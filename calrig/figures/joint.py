@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
 from calrig.figures.files import Rows
@@ -46,10 +47,24 @@ def _map(document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Fig
     """Return the map as a band, and each pose as the map with what it leaves."""
     at, error, std = (document["stage"]["map"][name] for name in ("stage_deg", "error_deg", "std_deg"))
     points = _points(document, poses, poses["on_map_deg"])
+    pieces: list[dict[str, Any]] = []
+    for is_known, rows in groupby(zip(at, error, std, strict=True), key=lambda row: row[1] is not None):
+        if is_known:
+            pieces += _piece(list(rows), is_first=not pieces)
+    return {"data": [*points, *pieces], "layout": layout_of(DIAL, "error of the stage (°)")}
+
+
+def _piece(rows: list[tuple[float, float, float]], *, is_first: bool) -> list[dict[str, Any]]:
+    """Return the band and the line of dial angles between two gaps of the map; the first has the legend."""
+    at, error, std = ([row[k] for row in rows] for k in range(3))
     low, high = ([e + side * s for e, s in zip(error, std, strict=True)] for side in (-2.0, 2.0))
-    band = band_of("map", at, low, high, PALETTE[-1])
-    curve = {**line_of("map", at, error, PALETTE[-1]), "legendgroup": "map"}
-    return {"data": [*points, band, curve], "layout": layout_of(DIAL, "error of the stage (°)")}
+    curve = line_of("map", at, error, PALETTE[-1])
+    if len(rows) == 1:
+        curve["mode"] = "markers"  # a line of one point is not drawn
+    return [
+        band_of("map", at, low, high, PALETTE[-1]),
+        {**curve, "legendgroup": "map", "showlegend": is_first},
+    ]
 
 
 def _points(

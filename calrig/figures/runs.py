@@ -62,14 +62,16 @@ def residual(
     left_deg: Sequence[float | None] | None = None,
     scale: float | None = None,
     excluded: Collection[int] = (),
+    what: str = "calibrated",
 ) -> Figure:
-    """Return residual of each pose against elevation: as it came above, calibrated below, marked by approach.
+    """Return residual of each pose against elevation: uncorrected above, corrected below, marked by approach.
 
     Args:
         poses: in the order measured.
         left_deg: of each pose, once calibrated; None while it is not known, which leaves the lower half out.
         scale: of the calibration, which standard errors are divided by; None counts as 1.
         excluded: indices of poses that are out of the result; drawn as crosses.
+        what: the lower half shows, in words.
     """
     layout = layout_of("elevation (°)", "reading − stage (°)")
     layout["yaxis"]["zeroline"] = True
@@ -78,12 +80,12 @@ def residual(
     data = _residual_traces(poses, raw_deg, 1.0, excluded, "raw")
     if left_deg is None:
         return {"data": data, "layout": layout}
-    lower = _residual_traces(poses, left_deg, 1.0 if scale is None else scale, excluded, "calibrated")
+    lower = _residual_traces(poses, left_deg, 1.0 if scale is None else scale, excluded, what)
     for trace in lower:
         trace.update(yaxis="y2", showlegend=False)
     layout["yaxis"]["domain"] = [0.54, 1.0]
     layout["yaxis"]["title"] = {"text": "raw (°)"}
-    layout["yaxis2"] = {**axis_of("calibrated (°)"), "domain": [0.0, 0.46], "zeroline": True}
+    layout["yaxis2"] = {**axis_of(f"{what} (°)"), "domain": [0.0, 0.46], "zeroline": True}
     layout["xaxis"]["anchor"] = "y2"
     return {"data": [*data, *lower], "layout": layout}
 

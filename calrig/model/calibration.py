@@ -87,8 +87,29 @@ class Calibration(Model):
     )
 
 
+class RevisionChange(Model):
+    """A revision less the revision in force."""
+
+    revision: int = Field(description="The one in force.")
+    bias_deg: float
+    scale: float | None
+    expanded_uncertainty_deg: float | None
+
+
+class RevisionAct(Model):
+    """A release or the withdrawal of a revision."""
+
+    at: datetime
+    what: Literal["released", "withdrawn"]
+    by: str | None
+    reason: str | None
+    supersedes: int | None = Field(
+        description="Revision that was in force until this release; null if none was."
+    )
+
+
 class Revision(Model):
-    """An issued revision: its run, who made it and why, and what has changed since of its basis."""
+    """An issued revision: figures, run, who made it and why, and what has changed since of its basis."""
 
     revision: int
     status: RevisionStatus
@@ -103,6 +124,13 @@ class Revision(Model):
         description="Why it was not released automatically; a release needs a reason."
     )
     stale: list[str]
+    bias_deg: float
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    expanded_uncertainty_deg: float | None
+    change: RevisionChange | None = Field(description="Null of the revision in force, and if none is.")
+    acts: list[RevisionAct] = Field(description="Its releases and its withdrawal, oldest first.")
 
 
 class IssuedAct(Model):
@@ -117,3 +145,6 @@ class IssuedAct(Model):
     by: str | None
     reason: str | None
     warnings: list[str] = Field(description="Those of the revision.")
+    supersedes: int | None = Field(
+        description="Of a release, the revision that was in force until then; null if none was."
+    )

@@ -54,14 +54,28 @@ class ComparedRun(FittedLine):
     suspect: Suspect | None
 
 
+class InForce(Model):
+    """Bias and scale of the revision in force, fitted with its effects."""
+
+    revision: int
+    run_id: str
+    bias_deg: float | None = Field(description="Null in a joint solution, which does not know the level.")
+    bias_std_deg: float | None
+    scale: float | None
+    scale_std: float | None
+    rms_deg: float | None = Field(description="Of the residual after its effects.")
+    effects: list[str]
+
+
 class ComparedUnit(Model):
-    """A unit's calibrations, the oldest first, its drift, and whether it changed.
+    """A unit's calibrations by their plain fits, the oldest first, what is in force, and whether it changed.
 
     `p_value` is that of the unit over all its runs, `change` its most significant difference.
     """
 
     unit: str
     runs: list[ComparedRun]
+    in_force: InForce | None
     drift_deg_per_day: float | None
     p_value: float | None
     changed: bool

@@ -128,6 +128,14 @@ class Confirmation(Model):
     after_rms_deg: float
 
 
+class EffectInForce(Model):
+    """An effect accepted from other runs of the unit, and the runs that its parameters were fitted to."""
+
+    name: str
+    parameters: dict[str, float | None]
+    runs: list[str]
+
+
 class Diagnosis(Model):
     """CONTRACT section 5, with `grade` and, in `says`, its interpretation for people, the answer first."""
 
@@ -146,3 +154,4 @@ class Diagnosis(Model):
     warnings: list[str]
     grade: Literal["good", "fair", "unknown"] = "unknown"  # in diagnoses stored before it was computed
     says: list[str] = Field(default=[])
+    in_force: list[EffectInForce] = Field(default=[])  # taken out of the poses before the search

@@ -6,7 +6,7 @@ import math
 import random
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -17,6 +17,7 @@ FEWEST_UNTIL = 8
 """Poses that a run takes in any case."""
 MOST_MOUNTS = 36
 """As often does nobody turn a unit by hand in one run."""
+LARGEST_JITTER_DEG = 45.0
 SAME_MOUNT_DEG = 1e-6
 LONGEST_STRETCH_DEG = 20.0
 """Of a turn that is taken for one pose: an error of 1° that goes with sin θ bends by 0.005° over it."""
@@ -82,6 +83,8 @@ class Plan(BaseModel):
         "stop_deg": "To",
         "step_deg": "Step",
         "elevations_deg": "Elevations",
+        "mounts_deg": "Mounting angles",
+        "mount_axis": "Unit axis along stage axis",
         "order": "Order",
         "sweeps": "Sweeps",
         "settle_s": "Settling time",
@@ -103,7 +106,7 @@ class Plan(BaseModel):
     step_deg: float = Field(default=10.0, gt=0, le=360)
     sweeps: int = Field(default=4, ge=1, le=MAX_POSES)
     order: Literal["sweep", "random", "given"] = "sweep"
-    jitter_deg: float = Field(default=0.0, ge=0, le=45)
+    jitter_deg: float = Field(default=0.0, ge=0, le=LARGEST_JITTER_DEG)
     settle_s: float = Field(default=1.0, ge=0, le=3600)
     dwell_s: float = Field(default=2.0, gt=0, le=86_400)
     rate_hz: int = Field(default=200, ge=1, le=8000)
@@ -116,6 +119,26 @@ class Plan(BaseModel):
     until: Until | None = None
     revision: int | None = Field(default=None, ge=1, le=2**31 - 1)
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mounts_are_jittered(cls, plan: Any) -> Any:
+        """Jitter a grid of several mounts by half a step, unless the plan states a jitter.
+
+        The map of the stage is known at the angles that poses visit; less leaves parts of the dial unvisited.
+        """
+        if not isinstance(plan, dict) or "jitter_deg" in plan or plan.get("elevations_deg") is not None:
+            return plan
+        mounts_deg, kind = plan.get("mounts_deg"), plan.get("kind")
+        if not isinstance(mounts_deg, list | tuple) or len(mounts_deg) < 2 or kind in ("static", "sweep"):
+            return plan
+        try:
+            step_deg = float(plan.get("step_deg", cls.model_fields["step_deg"].default))
+        except (TypeError, ValueError):  # its own validation says so
+            return plan
+        if not step_deg > 0.0:
+            return plan
+        return {**plan, "jitter_deg": min(step_deg / 2.0, LARGEST_JITTER_DEG)}
 
     @field_validator("mounts_deg")
     @classmethod

@@ -10,7 +10,10 @@ from pydantic import Field
 
 from calrig.model.base import Model
 
-ReferenceKind = Literal["setting", "harmonic", "common", "map"]
+StatedKind = Literal["setting", "harmonic", "common"]
+MOST_REFERENCE_STD_DEG = 180.0
+"""Above this, a stated standard uncertainty of an angle states nothing, and squares of it may overflow."""
+ReferenceKind = Literal[StatedKind, "map"]
 Distribution = Literal["rectangular", "normal"]
 Covariance = tuple[tuple[float, float], tuple[float, float]]
 StoppedBy = Literal["plan", "until"]
@@ -124,6 +127,25 @@ class RangeErrors:
     mean_error_deg: float
 
 
+class Verified(Model):
+    """How a verification's poses were tested, and which of them lie within the calibrated range."""
+
+    n_tested: int = Field(description="Poses within the calibrated range.")
+    n_outside: int
+    calibrated_deg: Extremes
+    measured_deg: Extremes
+    calibrated_c: Extremes | None
+    measured_c: Extremes | None
+    rms_deg: float | None = Field(None, description="RMS error of the tested poses; null if none was tested.")
+    ratio: float | None = Field(None, description="Residual over what noise and stated uncertainty predict.")
+    bound: float | None = Field(None, description="What the ratio stays under in 99 % of runs.")
+    p_value: float | None = None
+    correlation: float | None = Field(None, description="Of the noise from pose to pose, lag 1.")
+    against_calibration_p: float | None = Field(
+        None, description="Of the same errors against the scatter of the calibration's own poses."
+    )
+
+
 class FittedLine(Model):
     """The figures of a fitted line: of a run's result, and of it among others."""
 
@@ -151,13 +173,14 @@ class Result(FittedLine):
         None, description="Why the stage's map was not used, or what errors are relative to."
     )
     lost_says: str | None = Field(None, description="What of the plan could not be measured.")
+    verified: Verified | None = Field(None, description="Of a verification; null in earlier versions.")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as it is stored: without what only some results have to say."""
         document = self.model_dump(mode="json")
-        for says in ("reference_says", "lost_says"):
-            if document[says] is None:
-                del document[says]
+        for key in ("reference_says", "lost_says", "verified"):
+            if document[key] is None:
+                del document[key]
         if "doubts" not in self.model_fields_set:
             del document["doubts"]
         if self.reference is not None and self.reference.line_covariance is None:

@@ -45,11 +45,11 @@ class SolvedUnit(_Part):
 
 
 class MapColumns(_Part):
-    """The stage's error over its dial, less its mean, in the middle of the backlash."""
+    """The stage's error over its dial, less its mean, in mid-backlash; null where it is not determined."""
 
     stage_deg: list[float]
-    error_deg: list[float]
-    std_deg: list[float]
+    error_deg: list[float | None]
+    std_deg: list[float | None]
 
 
 class Harmonic(_Part):

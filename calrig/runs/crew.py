@@ -12,8 +12,8 @@ from contextlib import closing, contextmanager
 from typing import TypeVar
 
 from calrig.analysis.errors import Conflict
-from calrig.instruments.clamps.index import CLAMPS
 from calrig.instruments.errors import InstrumentError
+from calrig.instruments.index_clamp import CLAMPS
 from calrig.instruments.ports import clock_of
 from calrig.model.plan import MountAxis
 from calrig.runs.single_flight import SharedTask, SingleFlight

@@ -58,7 +58,7 @@ def stage_of(driver: str) -> MakesStage:
 def board_of(sketch: str | None) -> MakesBoard:
     """What makes the board that runs one of `SKETCHES`, or calrig's own."""
     if sketch is None:
-        from calrig.simulator.boards.calrig import Board as OwnBoard
+        from calrig.simulator.board import Board as OwnBoard
 
         return OwnBoard
     from calrig.simulator.sketch_board import SketchBoard

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
+from sqlalchemy import ColumnElement
 from sqlmodel import Session, col, or_, select
 
 from calrig.store.convert import iso_utc, run_of, run_row
@@ -15,39 +16,60 @@ from calrig.store.runs import replace_result
 from calrig.store.tables import AcceptedEffectTable, PoseTable, RunTable, UnitTable
 from calrig.store.trail import act_on, append
 
-_STANDS = col(AcceptedEffectTable.withdrawn_at).is_(None)
+_STANDS = col(AcceptedEffectTable.withdrawn_at).is_(None), col(RunTable.voided_at).is_(None)
+"""Neither revoked nor of a voided run."""
 _AT_ONCE = 500
 """Ids in one query."""
 
 
 class AcceptedEffects(Repository):
-    """Accepted effects. A revoked acceptance is kept, and no longer in force."""
+    """Accepted effects. A revoked acceptance is kept, and no longer in force.
 
-    def accept(self, run_id: str, accepted: Sequence[AcceptedEffect], *, who: str | None = None) -> None:
+    Acceptances of several runs are in force as one model, whose effects are stored besides (`is_joint`).
+    """
+
+    def accept(
+        self,
+        run_id: str,
+        accepted: Sequence[AcceptedEffect],
+        joint: Sequence[AcceptedEffect] = (),
+        *,
+        who: str | None = None,
+    ) -> None:
         """Puts effects of a run's diagnosis in force from now on; the diagnosis says since when.
 
         Each for its unit or its rig, in place of earlier ones of that name.
+
+        Args:
+            run_id: the run.
+            accepted: effects as its diagnosis has them.
+            joint: the model of these and all earlier acceptances of the unit, where there is one.
+            who: accepts them.
         """
         now = datetime.now(UTC)
         with self._database.writing() as session:
             run = run_row(session, run_id)
             if run.diagnosis is not None:
                 run.diagnosis = _marked(run.diagnosis, accepted, now)
-            session.add_all(
-                AcceptedEffectTable(
-                    run_id=run.id,
-                    unit=effect.unit,
-                    rig=effect.rig,
-                    name=effect.name,
-                    origin=effect.origin,
-                    parameters=effect.parameters,
-                    accepted_at=now,
-                )
-                for effect in accepted
+            session.add_all(_row(run.id, effect, now) for effect in accepted)
+            if any(one.unit is not None for one in accepted):  # the rig's change no model of the unit
+                _replace_joint(session, run.unit, joint, now)
+            over = list(joint[0].runs) if joint else [run.uid]
+            append(
+                session,
+                act_on("accepted", run, who, effects=[e.name for e in accepted], fitted_over=over),
+                now,
             )
-            append(session, act_on("accepted", run, who, effects=[e.name for e in accepted]), now)
 
-    def revoke(self, run_id: str, names: Sequence[str], reason: str, *, who: str | None = None) -> None:
+    def revoke(
+        self,
+        run_id: str,
+        names: Sequence[str],
+        reason: str,
+        joint: Sequence[AcceptedEffect] = (),
+        *,
+        who: str | None = None,
+    ) -> None:
         """Takes effects that were accepted from a run out of force; what was in force before is so again.
 
         Raises:
@@ -57,6 +79,7 @@ class AcceptedEffects(Repository):
         with self._database.writing() as session:
             run = run_row(session, run_id)
             standing = [one for one in accepted_from(session, run) if one.withdrawn_at is None]
+            standing = [one for one in standing if not _is_joint(one)]
             for name in names:
                 if name not in {one.name for one in standing}:
                     listed = ", ".join(dict.fromkeys(one.name for one in standing)) or "none"
@@ -66,32 +89,63 @@ class AcceptedEffects(Repository):
                     one.withdrawn_at = now
             if run.diagnosis is not None:
                 run.diagnosis = _unmarked(run.diagnosis, names)
+            _replace_joint(session, run.unit, joint, now)
             append(session, act_on("taken_back", run, who, reason, effects=list(dict.fromkeys(names))), now)
 
-    def in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
-        """The effects accepted for a unit and for a rig: of each name the latest still in force.
+    def replace_joint(self, unit: str, joint: Sequence[AcceptedEffect]) -> None:
+        """Puts another joint model of a unit's acceptances in force; none where it is empty."""
+        with self._database.writing() as session:
+            _replace_joint(session, unit, joint, datetime.now(UTC))
 
-        The unit's goes before the rig's of one name; of a name given twice in one acceptance one counts.
+    def in_force(self, unit: str, rig: str | None) -> list[AcceptedEffect]:
+        """The effects accepted for a unit and for a rig.
+
+        Of each name the latest acceptance that was not taken back, nor is of a voided run; of a unit whose
+        acceptances were fitted together, that model alone. The unit's goes before the rig's of one name.
         """
-        wanted = (
-            select(AcceptedEffectTable, RunTable.uid)
-            .join(RunTable)
-            .where(or_(AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.rig) == (rig or "")))
-            .where(_STANDS)
-            .order_by(col(AcceptedEffectTable.id))
-        )
-        with self._database.reading() as session:
-            latest: dict[tuple[str | None, str], dict[tuple[str, datetime], list[AcceptedEffect]]] = {}
-            for row, run_id in session.exec(wanted):
-                together = latest.setdefault((row.unit, row.name), {})
-                rows = together.setdefault((run_id, row.accepted_at), [])
-                one = _accepted(row, run_id)
-                rows[:] = [*(other for other in rows if other.parameters != one.parameters), one]
+        wanted = or_(AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.rig) == (rig or ""))
+        found = self._standing(wanted)
+        is_joint = any(first.is_joint for first, *_ in found)
+        latest = {
+            (one.unit, one.name): together
+            for together in found
+            if (one := together[0]).unit is None or one.is_joint == is_joint
+        }
         # an error is the sensor's or the stage's: what was accepted as the unit's is not the rig's as well
-        for owner, name in list(latest):
-            if owner is not None:
-                latest.pop((None, name), None)
-        return [effect for together in latest.values() for effect in list(together.values())[-1]]
+        of_unit = {name for owner, name in latest if owner is not None}
+        return [
+            effect
+            for (owner, name), together in latest.items()
+            if owner is not None or name not in of_unit
+            for effect in together
+        ]
+
+    def acceptances(self, unit: str) -> list[AcceptedEffect]:
+        """What was accepted of a unit's runs and has effect, the oldest first; of each run a name's latest.
+
+        Of acceptances that older versions stored, those are left out that a later one of that name replaced.
+        """
+        standing = self._standing(col(AcceptedEffectTable.unit) == unit)
+        found = [together for together in standing if not together[0].is_joint]
+        of_name = {together[0].name: together for together in found}
+        of_run = {(together[0].run_id, together[0].name): together for together in found}
+        return [
+            effect
+            for (_, name), together in of_run.items()
+            if together[0].runs or of_name[name] is together
+            for effect in together
+        ]
+
+    def _standing(self, wanted: ColumnElement[bool]) -> list[list[AcceptedEffect]]:
+        """Acceptances that stand, the oldest first: each with its effects of one name, equal ones once."""
+        rows = select(AcceptedEffectTable, RunTable.uid).join(RunTable).where(wanted, *_STANDS)
+        found: dict[tuple[object, ...], list[AcceptedEffect]] = {}
+        with self._database.reading() as session:
+            for row, run_id in session.exec(rows.order_by(col(AcceptedEffectTable.id))):
+                key = row.unit, row.rig, row.name, run_id, row.accepted_at, _is_joint(row)
+                together, one = found.setdefault(key, []), _accepted(row, run_id)
+                together[:] = [*(other for other in together if other.parameters != one.parameters), one]
+        return list(found.values())
 
     def by_id(self, ids: Sequence[int]) -> list[AcceptedEffect]:
         """Effects that were accepted, by their ids, those that were taken back since among them."""
@@ -108,7 +162,8 @@ class AcceptedEffects(Repository):
         """Names of the effects in force for each unit that has any."""
         wanted = (
             select(AcceptedEffectTable.unit, AcceptedEffectTable.name)
-            .where(col(AcceptedEffectTable.unit).is_not(None), _STANDS)
+            .join(RunTable)
+            .where(col(AcceptedEffectTable.unit).is_not(None), *_STANDS)
             .distinct()
             .order_by(col(AcceptedEffectTable.unit), col(AcceptedEffectTable.name))
         )
@@ -119,7 +174,42 @@ class AcceptedEffects(Repository):
         return found
 
 
+def _row(run: int, effect: AcceptedEffect, now: datetime) -> AcceptedEffectTable:
+    fit = {
+        "runs": list(effect.runs),
+        "std": dict(effect.std),
+        "run_offset_std_deg": effect.run_offset_std_deg,
+        "is_joint": effect.is_joint,
+        "is_partial": effect.is_partial,
+    }
+    return AcceptedEffectTable(
+        run_id=run,
+        unit=effect.unit,
+        rig=effect.rig,
+        name=effect.name,
+        origin=effect.origin,
+        parameters=effect.parameters,
+        accepted_at=now,
+        fit=fit if effect.runs else None,
+    )
+
+
+def _replace_joint(session: Session, unit: str, joint: Sequence[AcceptedEffect], now: datetime) -> None:
+    wanted = select(AcceptedEffectTable).where(
+        AcceptedEffectTable.unit == unit, col(AcceptedEffectTable.withdrawn_at).is_(None)
+    )
+    for row in session.exec(wanted):
+        if _is_joint(row):
+            row.withdrawn_at = now
+    session.add_all(_row(run_row(session, one.run_id).id, one, now) for one in joint)
+
+
+def _is_joint(row: AcceptedEffectTable) -> bool:
+    return bool((row.fit or {}).get("is_joint"))
+
+
 def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
+    fit = row.fit or {}
     return AcceptedEffect(
         run_id=run_id,
         unit=row.unit,
@@ -128,6 +218,11 @@ def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
         origin=row.origin,
         parameters=row.parameters,
         id=row.id,
+        runs=fit.get("runs", ()),
+        std=fit.get("std", {}),
+        run_offset_std_deg=fit.get("run_offset_std_deg"),
+        is_joint=_is_joint(row),
+        is_partial=fit.get("is_partial", False),
     )
 
 

@@ -7,6 +7,7 @@ is found without importing Alembic, which is loaded only for a migration.
 from __future__ import annotations
 
 import re
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -33,9 +34,40 @@ class Database(ABC):
 
     name: str
 
+    def __init__(self) -> None:
+        self._own = threading.local()
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Make one transaction of all that this thread reads and writes until the block ends.
+
+        Where the block raises, nothing is stored. Other writers wait until it ends. One within another is
+        part of it.
+        """
+        outer = self._own_session()
+        with self.writing() as session:
+            self._own.session = session
+            try:
+                yield
+            finally:
+                self._own.session = outer
+
+    @contextmanager
+    def reading(self) -> Iterator[Session]:
+        """A session that sees one state of the database throughout; that of an open `transaction`, if any."""
+        own = self._own_session()
+        if own is not None:
+            yield own
+            return
+        with self._reading() as session:
+            yield session
+
+    def _own_session(self) -> Session | None:
+        return getattr(self._own, "session", None)
+
     @abstractmethod
-    def reading(self) -> AbstractContextManager[Session]:
-        """A session that sees one state of the database throughout."""
+    def _reading(self) -> AbstractContextManager[Session]:
+        """A session of its own for reading."""
 
     @abstractmethod
     def staging(self) -> AbstractContextManager[Connection]:
@@ -44,11 +76,11 @@ class Database(ABC):
         What is laid there keeps nobody from writing; `writing(on=it)` then takes it over in little time.
         """
 
-    @abstractmethod
-    def writing(
-        self, on: Connection | None = None, *, in_turn: bool = True
-    ) -> AbstractContextManager[Session]:
+    @contextmanager
+    def writing(self, on: Connection | None = None, *, in_turn: bool = True) -> Iterator[Session]:
         """A session whose changes are kept when the block ends, or none of them where it raises.
+
+        In a `transaction` its changes are kept when that ends.
 
         Args:
             on: what `staging` gave; without it any connection.
@@ -56,7 +88,21 @@ class Database(ABC):
 
         Raises:
             StoreError: it cannot be written; of waiting for a turn, what `require_wanted` raises as well.
+            RuntimeError: it is on a staged connection, and this thread has a `transaction` open.
         """
+        own = self._own_session()
+        if own is None:
+            with self._writing(on, in_turn=in_turn) as session:
+                yield session
+            return
+        if on is not None:
+            raise RuntimeError("staged rows are taken over in a transaction of their own")
+        yield own
+        own.flush()  # statements of the connection see no changes that are pending in the session
+
+    @abstractmethod
+    def _writing(self, on: Connection | None, *, in_turn: bool) -> AbstractContextManager[Session]:
+        """A session of its own for writing; as `writing`."""
 
     @abstractmethod
     def give_back_space(self) -> None:
@@ -104,7 +150,10 @@ class Database(ABC):
 
 
 class Repository:
-    """Base of the repositories of a `calrig.store.Store`: each method is one transaction."""
+    """Base of the repositories of a `calrig.store.Store`: each method is one transaction.
+
+    In a `Database.transaction` all methods called are one.
+    """
 
     def __init__(self, database: Database) -> None:
         self._database = database

@@ -177,6 +177,15 @@ class Revisions(Repository):
             session.flush()
             return _revision(row)
 
+    def withdrawn_runs(self) -> set[str]:
+        """Ids of the runs whose revisions are all withdrawn."""
+        is_valid = col(IssuedCalibrationTable.status) != "withdrawn"
+        valid = select(IssuedCalibrationTable.run_id).where(is_valid)
+        wanted = select(RunTable.uid).join(IssuedCalibrationTable)
+        wanted = wanted.where(~is_valid, col(RunTable.id).not_in(valid))
+        with self._database.reading() as session:
+            return set(session.exec(wanted))
+
     def units_without(self) -> list[str]:
         """Units that runs are of and no revision is."""
         issued = select(IssuedCalibrationTable.unit)

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, get_args
 
 from sqlalchemy import Connection, Table, text
 from sqlalchemy.engine.interfaces import Dialect
@@ -19,6 +19,7 @@ from sqlmodel import Session
 from calrig.canonical_json import sha256_of
 from calrig.model.run import UNFINISHED
 from calrig.store import checksums
+from calrig.store.certificates import Form, check_bytes
 from calrig.store.convert import FIGURES, POSE_NUMBERS, unpacked_block
 from calrig.store.database import BUSY_TIMEOUT_S, Database
 from calrig.store.engines import is_centre, open_database
@@ -51,6 +52,7 @@ class RowChecks:
             "sample_block": _check_samples,
             "transcript": _check_transcript,
             "issued_calibration": _check_issued,
+            "certificate": _check_certificate,
             "trail": self._check_link,
             "event": self._check_order,
         }
@@ -155,6 +157,11 @@ def _check_issued(issued: _Checked) -> None:
         raise Unreadable(f"it is no document any more: {error}") from error
     if {sha256, document.get("sha256")} != {issued["sha256"]}:
         raise Unreadable("it is not what was issued")
+
+
+def _check_certificate(certificate: _Checked) -> None:
+    for form in get_args(Form):
+        check_bytes(certificate["number"], form, certificate[form], certificate["sha256"])
 
 
 READINGS = 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal, NamedTuple, TypedDict
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 import calrig.model.run
 from calrig.calibration.poses import Filtering, Pose
+from calrig.calibration.results import EffectDoubt
 from calrig.calibration.separation import StageMap
 from calrig.calibration.uncertainty import make_verdict
 from calrig.estimation.kalman import KalmanNoise
@@ -149,6 +150,16 @@ class AcceptedEffect:
     """An effect that a person accepted, of a unit or of a rig (the other is None), and the run it is from.
 
     `parameters` are CONTRACT section 5's by name, numbers or null; `id` is the store's, of one that it gave.
+    Older stores lack the other fields.
+
+    Attributes:
+        runs: ids of the runs whose poses the parameters were fitted to.
+        std: standard errors of the parameters, where they are known.
+        run_offset_std_deg: standard deviation between days and clampings; None where it was not fitted.
+        is_joint: the parameters are those of one model of all acceptances of the unit, fitted by calrig, not
+            those of the diagnosis that was accepted.
+        is_partial: effects of other runs had been taken out of the poses when the parameters were found, so
+            that they mean nothing without a joint fit.
     """
 
     run_id: str
@@ -158,6 +169,26 @@ class AcceptedEffect:
     origin: str
     parameters: dict[str, float | None]
     id: int | None = field(default=None, compare=False)
+    runs: Sequence[str] = ()
+    std: Mapping[str, float] = field(default_factory=dict)
+    run_offset_std_deg: float | None = None
+    is_joint: bool = False
+    is_partial: bool = False
+
+    @property
+    def rests_on(self) -> list[str]:
+        """Ids of the runs whose poses its parameters were fitted to."""
+        return list(self.runs) or [self.run_id]
+
+
+def doubt_of(accepted: Sequence[AcceptedEffect], run_id: str | None = None) -> EffectDoubt:
+    """How well accepted effects are known, in their order; nothing is known of it in older acceptances.
+
+    `run_id` is that of the run they are taken out of; None if none of them can rest on it.
+    """
+    offsets_deg = [one.run_offset_std_deg or 0.0 for one in accepted]
+    fitted_here = sum(len(one.std) for one in accepted if run_id is not None and run_id in one.rests_on)
+    return EffectDoubt([one.std for one in accepted], max(offsets_deg, default=0.0), fitted_here)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Self
 
 from calrig.store.amendments import AcceptedEffects, Amendments
 from calrig.store.batches import Batches
 from calrig.store.benches import Benches, Commands, Orders
+from calrig.store.certificates import Certificates
 from calrig.store.database import BUSY_TIMEOUT_S, Database
 from calrig.store.engines import open_database
 from calrig.store.enrolment import Enrolment
@@ -33,9 +35,9 @@ from calrig.store.webhook import Deliveries
 class Store:
     """An open store, shared by threads: one repository for each subject.
 
-    Each method of a repository is one transaction, on the disk when it returns. A run that does not exist
-    raises `NotFound` unless the method says otherwise; a failure of the database raises `StoreError`; a
-    document with a NaN raises ValueError (an unknown value is None).
+    Each method of a repository is one transaction, on the disk when it returns; `transaction` makes one of
+    several. A run that does not exist raises `NotFound` unless the method says otherwise; a failure of the
+    database raises `StoreError`; a document with a NaN raises ValueError (an unknown value is None).
     """
 
     def __init__(self, database: Database) -> None:
@@ -50,6 +52,7 @@ class Store:
         self.units = Units(database)
         self.items = Items(database)
         self.revisions = Revisions(database)
+        self.certificates = Certificates(database)
         self.limits = Limits(database)
         self.solutions = Solutions(database)
         self.rigs = RigSummaries(database)
@@ -96,6 +99,13 @@ class Store:
                 not SQLite, another program's, unreadable, read-only, or the disk is full.
         """
         return cls(open_database(url, writer, busy_timeout_s, left_by_the_dead))
+
+    def transaction(self) -> AbstractContextManager[None]:
+        """Make one transaction of what this thread does until the block ends; nothing is stored if it raises.
+
+        Other writers wait until it ends, so that nothing in it may take seconds.
+        """
+        return self._database.transaction()
 
     def size(self) -> Size:
         """What the store takes of its disk."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import BigInteger, Dialect, Integer, String, TypeDecorator, text
+from sqlalchemy import BigInteger, Dialect, ForeignKeyConstraint, Integer, String, TypeDecorator, text
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
 from calrig.model.verdict import Figures
@@ -212,6 +212,7 @@ class AcceptedEffectTable(SQLModel, table=True):
     parameters: dict[str, Any] = Field(sa_type=CheckedJson)
     accepted_at: datetime = Field(sa_type=UtcText)
     withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)
+    fit: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
 
 
 class TranscriptTable(SQLModel, table=True):
@@ -262,6 +263,37 @@ class IssuedCalibrationTable(SQLModel, table=True):
     issued_at: datetime = Field(sa_type=UtcText)
     issued_by: str | None = None
     reason: str | None = None
+
+
+class CertificateTable(SQLModel, table=True):
+    """A certificate as it was issued: its bytes never change.
+
+    `trail_seq` and `trail_sha256` are the head of the trail when it was issued, 0 and `FIRST` of none; the
+    certificate says them, so that entries up to it cannot be cut off unseen. `replaces` is the number of an
+    earlier row, without a foreign key: moved rows come in the order of their numbers.
+    """
+
+    __tablename__ = "certificate"
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["unit", "revision"], ["issued_calibration.unit", "issued_calibration.revision"]
+        ),
+        Index("ix_certificate_unit", "unit", "revision"),
+    )
+
+    number: str = Field(primary_key=True)
+    unit: str
+    revision: int
+    issued_at: datetime = Field(sa_type=UtcText)
+    issued_by: str | None = None
+    replaces: str | None = Field(default=None, unique=True)
+    reason: str | None = None
+    settings: dict[str, Any] = Field(sa_type=CheckedJson)
+    sha256: dict[str, Any] = Field(sa_type=CheckedJson)
+    trail_seq: int
+    trail_sha256: str
+    pdf: bytes | None = Field(default=None, sa_column=Column(LargeBinary))
+    dcc: bytes = Field(sa_column=Column(LargeBinary, nullable=False))
 
 
 class TrailTable(SQLModel, table=True):

@@ -15,12 +15,13 @@ from calrig.run_ids import is_number
 from calrig.store.checksums import to_json
 from calrig.store.database import Repository
 from calrig.store.records import Document
-from calrig.store.tables import RunTable, TrailTable
+from calrig.store.tables import CertificateTable, RunTable, TrailTable
 
 What = Literal[
-    "started", "imported", "excluded", "included", "voided", "unvoided", "noted", "moved",
-    "accepted", "taken_back", "drafted", "released", "withdrawn", "limits_changed",
-    "check_unit_changed", "item_changed", "map_put_in_force", "map_withdrawn",
+    "started", "paused", "resumed", "aborted", "imported",
+    "excluded", "included", "voided", "unvoided", "noted", "moved",
+    "accepted", "taken_back", "mended", "drafted", "released", "withdrawn", "certificate_issued",
+    "limits_changed", "check_unit_changed", "item_changed", "map_put_in_force", "map_withdrawn",
     "user_added", "user_changed", "unit_removed",
     "bench_added", "bench_enrolled", "bench_revoked",
 ]  # fmt: skip
@@ -84,6 +85,11 @@ def act_on(what: What, run: RunTable, who: str | None, reason: str | None = None
 class Trail(Repository):
     """What was done."""
 
+    def add(self, act: Act) -> None:
+        """Add an act that changes no other row."""
+        with self._database.writing() as session:
+            append(session, act)
+
     def entries(
         self,
         *,
@@ -112,6 +118,11 @@ class Trail(Repository):
         with self._database.reading() as session:
             return [_entry(row) for row in session.exec(wanted.limit(limit))]
 
+    def head(self) -> tuple[int, str]:
+        """Number and hash of the newest entry; 0 and `FIRST` of an empty trail."""
+        newest = self.entries(newest_first=True, limit=1)
+        return (newest[0].seq, newest[0].sha256) if newest else (0, FIRST)
+
     def links_before(self, numbers: Sequence[int]) -> dict[int, str]:
         """Of some entries, what each is chained to: the hash of the one before, of the first `FIRST`."""
         wanted = select(TrailTable.seq, TrailTable.sha256)
@@ -120,17 +131,34 @@ class Trail(Repository):
             found = {seq + 1: sha256 for seq, sha256 in session.exec(wanted)}
         return {number: found.get(number, FIRST) for number in numbers}
 
+    def holds(self, seq: int, sha256: str) -> bool:
+        """Whether an entry is here as somebody else has it: in a backup, an archive or a certificate."""
+        wanted = select(TrailTable.sha256).where(TrailTable.seq == seq)
+        with self._database.reading() as session:
+            return (session.exec(wanted).first() or FIRST) == sha256 if seq else sha256 == FIRST
+
     def broken_link(self) -> int | None:
-        """Number of the first entry that is not what was written after the one before it; None: all are."""
+        """Number of the first entry that is not what was written after the one before it; None: all are.
+
+        A certificate proves the newest entry of its time and the entry of its own issue: these and what is
+        before them cannot be cut off unseen.
+        """
         before, expected = FIRST, 1
         columns = sqlalchemy.select(*_SAID, col(TrailTable.sha256)).order_by(col(TrailTable.seq))
+        wanted = select(CertificateTable.number, CertificateTable.trail_seq, CertificateTable.trail_sha256)
         with self._database.reading() as session:
+            issued = session.exec(wanted).all()
+            heads = {seq: sha256 for _, seq, sha256 in issued if seq}
+            numbers = {number for number, _, _ in issued}
             # columns, not objects of the table: twenty thousand take half the time
             for *said, sha256 in session.connection().execute(columns):
-                if said[0] != expected or sha256 != chained(before, said):
+                is_other = sha256 != heads.pop(expected, sha256)
+                if said[0] != expected or is_other or sha256 != chained(before, said):
                     return int(said[0])
+                if said[3] == "certificate_issued":
+                    numbers.discard(said[9]["number"])
                 before, expected = sha256, expected + 1
-        return None
+        return expected if heads or numbers else None
 
 
 _SAID: tuple[Any, ...] = (

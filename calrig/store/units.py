@@ -19,6 +19,7 @@ from calrig.store.runs import VALID_CALIBRATION
 from calrig.store.tables import (
     AcceptedEffectTable,
     CalibrationTable,
+    CertificateTable,
     CheckUnitTable,
     IssuedCalibrationTable,
     ItemTable,
@@ -43,6 +44,7 @@ _KEPT_OF_UNITS: dict[Any, str] = {
     RunTable: "runs",
     CheckUnitTable: "a rig that is checked by it",
     AcceptedEffectTable: "effects that were accepted",
+    CertificateTable: "certificates",
 }
 """What keeps a unit from being removed."""
 

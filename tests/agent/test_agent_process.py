@@ -14,9 +14,10 @@ from pathlib import Path
 import httpx
 import pytest
 from a_bench import ENDLESS, HandWritten
-from support import wait_for
+from support import QUICK, ended, running_service, serving, wait_for
 from typer.testing import CliRunner
 
+from calrig.api.access import Access
 from calrig.cli.main import app
 from calrig.store import Store
 
@@ -112,3 +113,44 @@ def test_what_it_prints_is_one_line(centre: HandWritten, tmp_path: Path, spool: 
         assert centre.ended(run_id).status == "completed"
         result = centre.delivered(run_id).documents[-1]["run"]["result"]
         assert json.dumps(result["bias_deg"]) != "null"
+
+
+@pytest.fixture
+def client(rig, spool):
+    with (
+        running_service(spool, rig.settings) as service,
+        serving(service, is_bench=True, access=Access(token="a-token-of-the-bench")) as client,
+    ):
+        client.headers["Authorization"] = "Bearer a-token-of-the-bench"
+        yield client
+
+
+def test_it_starts_shows_and_stops_runs(client) -> None:
+    run = client.post("/api/runs", json={"unit": "AS-1", "plan": QUICK}).raise_for_status().json()
+    assert ended(client, run["id"])["status"] == "completed"
+    assert client.post("/api/rigs/bench-1/stop").status_code == 200
+    assert client.get("/api/units/AS-1").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("POST", "/api/runs/1/void"),
+        ("POST", "/api/runs/1/diagnosis"),
+        ("POST", "/api/units/AS-1/calibrations/1/release"),
+        ("PUT", "/api/limits"),
+        ("POST", "/api/imports"),
+        ("POST", "/api/users"),
+        ("DELETE", "/api/units/AS-1"),
+    ],
+)
+def test_it_leaves_the_rest_to_the_centre(client, method: str, path: str) -> None:
+    refused = client.request(method, path, json={})
+    assert refused.status_code == 409
+    assert "centre" in refused.json()["detail"]
+
+
+def test_it_asks_for_its_token_and_who_sent_the_page(client) -> None:
+    assert client.post("/api/rigs/bench-1/stop", headers={"Authorization": ""}).status_code == 401
+    elsewhere = {"Origin": "http://elsewhere.example"}
+    assert client.post("/api/rigs/bench-1/stop", headers=elsewhere).status_code == 403

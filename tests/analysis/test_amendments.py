@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -148,7 +149,11 @@ class TestMoved:
         run = new_run()
         assert run.result is not None
         assert run.result.rms_with_effects_deg is None
-        assert figures(records.move(run.id, "RIGHT", "misread")) == with_effects
+        moved = figures(records.move(run.id, "RIGHT", "misread"))
+        own, accepted = (one.pop("over_range") for one in (moved, with_effects))
+        assert moved == with_effects
+        assert (own["bias_deg"], own["scale"]) == (accepted["bias_deg"], accepted["scale"])
+        assert own["freedom"] > accepted["freedom"]  # the effect was fitted to the poses of the other run
 
     def test_follow_ups_move_along(self, new_run: Callable[..., Run], records: Records, store: Store) -> None:
         first = new_run()
@@ -248,11 +253,12 @@ class TestTakenBack:
         self, new_run: Callable[..., Run], store: Store
     ) -> None:
         acceptance = Acceptance(store)
-        first, second = diagnosed(store, new_run(), 3.0), diagnosed(store, new_run(), 6.0)
+        again = [replace(pose, reading_deg=1.0 + 2.02 * pose.target_deg - pose.reading_deg) for pose in POSES]
+        first, second = diagnosed(store, new_run(), 3.0), diagnosed(store, new_run(poses=again), 6.0)
         acceptance.accept(first.id, [OFFSET])
-        before = store.runs.set_result(second.id, refitted(store, store.runs.get(second.id), POSES))
+        before = store.runs.set_result(second.id, refitted(store, store.runs.get(second.id), again))
         accepted = acceptance.accept(second.id, [OFFSET], who="ada")
-        assert in_force(store) == {OFFSET: 6.0}
+        assert in_force(store) == {OFFSET: pytest.approx(0.0, abs=1e-6)}, "as the poses of both have it"
         assert accepted.diagnosis is not None
         assert accepted.diagnosis["effects"][0]["accepted_at"] is not None
 

@@ -25,15 +25,15 @@ SEEN = AT_WORK / "seen"
 
 
 def watched(*poses: Any, progress: Callable[[float], None], **asked: Any) -> dict[str, Any]:
-    """As `calrig.calibration.diagnosis.tracing.trace`; goes on whenever somebody has seen how far it is."""
-    from calrig.calibration.diagnosis.tracing import trace
+    """As `calrig.analysis.diagnoses.traced`; goes on whenever somebody has seen how far it is."""
+    from calrig.analysis.diagnoses import traced
 
     def told(share: float) -> None:
         progress(share)
         _until_seen(share)
 
     _until_seen(0.0)
-    return trace(*poses, progress=told, **asked)
+    return traced(*poses, progress=told, **asked)
 
 
 def see(share: float) -> None:

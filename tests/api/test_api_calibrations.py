@@ -73,6 +73,46 @@ def test_the_list_says_of_each_what_came_of_it(client, unit):
     assert act(client, unit, 1, "release").status_code == 200, "a superseded one may be released again"
 
 
+def test_a_row_has_the_figures_of_its_document_and_their_change_against_the_one_in_force(client, unit):
+    act(client, unit, 1, "release")
+    draft, in_force = client.get(f"{unit}/calibrations").json()
+    for row in (draft, in_force):
+        document = client.get(f"{unit}/calibration?revision={row['revision']}").json()
+        for name in ("bias_deg", "scale", "expanded_uncertainty_deg"):
+            assert row[name] == document[name]
+        assert row["bias_std_deg"] == pytest.approx(document["covariance"][0][0] ** 0.5)
+        assert row["verdict"]["answer"] == "no_limits"
+    assert in_force["change"] is None
+    assert draft["change"]["revision"] == 1
+    assert draft["change"]["bias_deg"] == pytest.approx(0.1 / 3), "one reading of three is 0.1° more"
+    assert draft["change"]["expanded_uncertainty_deg"] is None, "no reference, so U is not known"
+
+
+def test_release_says_what_it_supersedes_and_reasons_stand_in_the_list_and_the_feed(client, unit):
+    assert act(client, unit, 1, "release", "first").json()["acts"][0]["supersedes"] is None
+    assert act(client, unit, 2, "release", "newer").json()["acts"][0]["supersedes"] == 1
+    withdrawn = act(client, unit, 2, "withdraw", "the clamp was loose").json()
+    expected = [("released", "newer", 1), ("withdrawn", "the clamp was loose", None)]
+    assert [(one["what"], one["reason"], one["supersedes"]) for one in withdrawn["acts"]] == expected
+    feed = [one for one in client.get("/api/calibrations").json() if one["unit"] == unit.split("/")[-1]]
+    acts = [(one["what"], one["reason"], one["supersedes"]) for one in feed if one["what"] != "drafted"]
+    assert acts == [("released", "first", None), *expected]
+
+
+def test_a_unit_whose_only_calibration_was_withdrawn_is_not_verified_nor_due_by_it(client, unit):
+    before = client.get(unit).json()
+    assert before["due_at"] is not None
+    act(client, unit, 2, "release")
+    act(client, unit, 2, "withdraw")
+    assert client.get(unit).json()["due_at"] is not None, "revision 1 can still be released"
+    act(client, unit, 1, "withdraw")
+    after = client.get(unit).json()
+    assert (after["due_at"], after["overdue"], after["due_method"]) == (None, False, None)
+    assert "withdrawn" in after["due_says"]
+    plan = {"unit": before["serial"], "plan": {"kind": "verification"}}
+    assert client.post("/api/runs", json=plan).status_code == 409
+
+
 def test_a_draft_of_a_run_is_made_by_request(client, unit):
     run_id = client.get(unit).json()["runs"][-1]["id"]
     body = {"run_id": run_id, "effects": [], "reason": "once more"}
@@ -85,7 +125,7 @@ def test_the_certificate_for_programs_is_of_the_revision_asked_for(client, unit)
     answer = client.get(f"{unit}/calibration?revision=1&format=dcc").raise_for_status()
     assert answer.headers["content-type"] == "application/xml"
     issued = client.get(f"{unit}/calibration?revision=1")
-    name = f"certificate-{issued.json()['sha256'][:12]}-1.xml"
+    name = f"preview-{issued.json()['sha256'][:12]}-1.xml"
     assert answer.headers["content-disposition"] == f'attachment; filename="{name}"'
     root = ElementTree.fromstring(answer.content)
     assert root.tag == "{https://ptb.de/dcc}digitalCalibrationCertificate"

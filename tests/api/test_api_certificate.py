@@ -143,7 +143,7 @@ def test_each_page_has_the_number_and_the_last_one_the_end(
     lab: tuple[httpx.Client, Any], pages: list[str]
 ) -> None:
     number = content(lab[1]).number
-    assert re.fullmatch(r"0002-[0-9A-F]{12}", number)
+    assert re.fullmatch(r"PREVIEW-0002-[0-9A-F]{12}", number)
     for k, page in enumerate(pages, 1):
         assert flat(f"Certificate {number} {k} of {len(pages)}") in flat(page)
     assert flat(pages[-1]).endswith(flat(f"– End of certificate {number} –"))
@@ -269,3 +269,21 @@ def test_of_a_run_with_several_mounts_the_poses_of_the_first_one_count(lab: tupl
     said = certificate(service.store, service.store.revisions.in_force("M-1"), LABORATORY)
     assert [point.elevation_deg for point in said.results.points] == list(range(-40, 41, 10))
     assert any(words.startswith("9 poses at further mounts do not count here") for words in said.deviations)
+
+
+def test_a_unit_is_found_by_what_was_in_force_when_its_run_began_and_never_by_a_later_revision(
+    lab: tuple[httpx.Client, Any],
+) -> None:
+    service = lab[1]
+
+    def found_by(revision: int) -> str:
+        wanted = service.store.revisions.get("FOUND-1", revision)
+        return certificate(service.store, wanted, LABORATORY).results.found_by
+
+    for _ in range(2):
+        from_a_file(service, "FOUND-1")
+    second, first = service.store.revisions.of("FOUND-1")
+    again = service.issuer.draft("FOUND-1", first.run_id)
+    assert "without any calibration" in found_by(first.revision)
+    assert found_by(second.revision).startswith(f"revision {first.revision} ")
+    assert "without any calibration" in found_by(again.revision)

@@ -49,6 +49,12 @@ def test_a_refusal_names_the_places_for_whoever_marks_them(shared_client, plan, 
     assert (answer.status_code, answer.headers["Calrig-Fields"]) == (422, places)
 
 
+def test_a_field_without_a_name_makes_no_header_that_a_server_may_not_send(shared_client):
+    answer = shared_client.post("/api/plans/estimate", json={"": {}, "\t": 3, "stop": 1})
+    assert (answer.status_code, answer.headers["Calrig-Fields"]) == (422, "%09 stop")
+    assert "Calrig-Fields" not in shared_client.post("/api/plans/estimate", json={"": {}}).headers
+
+
 def test_a_plan_is_designed_for_an_uncertainty_and_a_run_takes_it(shared_client):
     wanted = {"target_u_deg": 0.5, "plan": {"start_deg": -40, "stop_deg": 40}}
     told = shared_client.post("/api/plans/design", json=wanted).raise_for_status().json()

@@ -1,9 +1,12 @@
-"""Long work that nobody waits for: a job says how far it is and what came of it, and ends when it is told."""
+"""Heavy work is done beside the service, within bounds; a job that nobody waits for tells how far it is."""
 
 from __future__ import annotations
 
 import logging
 import random
+import tempfile
+from contextlib import ExitStack, closing
+from http.client import HTTPConnection
 from typing import Any
 
 import httpx
@@ -11,8 +14,9 @@ import pytest
 from endless_work import SEEN, for_ever, see, watched, working
 from support import PATIENCE_S, POSES, imported, running_service, serving, wait_for
 
-from calrig.analysis import diagnoses
-from calrig.api import job, jobs
+from calrig.analysis import diagnoses, stored_runs
+from calrig.api import imports, job, jobs
+from calrig.processes import pool
 
 TARGETS = [x for x in range(-60, 61, 5) for _ in range(2)]
 RANDOM = random.Random(1)
@@ -50,7 +54,7 @@ def over(client: httpx.Client, path: str) -> list[dict[str, Any]]:
 @pytest.mark.usefixtures("_nobody_waits")
 def test_a_diagnosis_tells_how_far_it_is_and_where_it_is_found(shared_client, monkeypatch):
     SEEN.unlink(missing_ok=True)
-    monkeypatch.setattr(diagnoses, "trace", watched)
+    monkeypatch.setattr(diagnoses, "traced", watched)
     run_id = imported(shared_client, "AS-1", MANY)["id"]
     said = over(shared_client, begun(shared_client, f"/api/runs/{run_id}/diagnosis", json={}))
     fractions = [one["fraction"] for one in said]
@@ -69,7 +73,7 @@ def test_a_diagnosis_tells_how_far_it_is_and_where_it_is_found(shared_client, mo
 @pytest.mark.usefixtures("_nobody_waits")
 def test_a_job_that_is_cancelled_ends_its_process_and_keeps_nothing(shared_client, monkeypatch):
     run_id = imported(shared_client, "AS-1")["id"]
-    monkeypatch.setattr(diagnoses, "trace", for_ever)
+    monkeypatch.setattr(diagnoses, "traced", for_ever)
     path = begun(shared_client, f"/api/runs/{run_id}/diagnosis", json={})
     wait_for(working, "its beginning")
     queued = begun(shared_client, "/api/imports", files={"file": ("p.csv", POSES)}, data={"unit": "B"})
@@ -96,7 +100,7 @@ def test_what_fails_says_why_as_it_would_to_who_waits(shared_client):
 @pytest.mark.usefixtures("_nobody_waits")
 def test_a_defect_is_in_the_log_with_its_job(shared_client, monkeypatch, caplog):
     run_id = imported(shared_client, "AS-1")["id"]
-    monkeypatch.setattr(diagnoses, "trace", int)
+    monkeypatch.setattr(diagnoses, "traced", int)
     path = begun(shared_client, f"/api/runs/{run_id}/diagnosis", json={})
     assert over(shared_client, path)[-1]["error"] == "calrig failed inside; the service's log says where"
     (line,) = [one for one in caplog.records if one.name == "calrig.api.job"]
@@ -146,7 +150,7 @@ def test_what_is_done_soon_enough_is_answered_as_ever(shared_client, monkeypatch
 
 def test_no_job_of_another_life_of_the_service_is_known(rig, store_path, monkeypatch):
     monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
-    monkeypatch.setattr(diagnoses, "trace", for_ever)
+    monkeypatch.setattr(diagnoses, "traced", for_ever)
     with running_service(store_path, rig) as service:
         with serving(service, own_processes=True) as client:
             run_id = imported(client, "AS-1")["id"]
@@ -156,3 +160,66 @@ def test_no_job_of_another_life_of_the_service_is_known(rig, store_path, monkeyp
     with running_service(store_path, rig) as service, serving(service) as client:
         assert client.get(path).status_code == client.delete(path).status_code == 404
         assert client.get("/api/jobs/1").status_code == 404
+
+
+def asking(client: httpx.Client, run: dict[str, Any]) -> closing[HTTPConnection]:
+    """Somebody who asks for a diagnosis and leaves at the end of the block."""
+    connection = HTTPConnection(client.base_url.host, client.base_url.port or 80)
+    kind = {"Content-Type": "application/json"}
+    connection.request("POST", f"/api/runs/{run['id']}/diagnosis", b"{}", kind)
+    return closing(connection)
+
+
+def test_a_diagnosis_stops_when_its_client_leaves(shared_client, monkeypatch):
+    run = imported(shared_client, "AS-1")
+    monkeypatch.setattr(diagnoses, "traced", for_ever)
+    with asking(shared_client, run):
+        wait_for(working, "its beginning")
+    wait_for(lambda: not working(), "end of the work")
+
+
+def test_more_than_may_wait_is_429_and_told_when_to_come_back(shared_client, monkeypatch):
+    run = imported(shared_client, "AS-1")
+    monkeypatch.setattr(diagnoses, "traced", for_ever)
+    monkeypatch.setattr(pool, "MOST_WAITING", 0)
+    slots = pool.Processes().slots
+    with ExitStack() as others:
+        for _ in range(slots):
+            others.enter_context(asking(shared_client, run))
+        wait_for(lambda: len(working()) == slots, "all processes at work")
+        monkeypatch.setattr(imports, "on_disk", None)  # nothing is laid there in vain
+        answer = shared_client.post("/api/imports", files={"file": ("p.csv", "x")}, data={"unit": "A"})
+    assert answer.status_code == 429
+    assert answer.headers["Retry-After"] == "5"
+    assert "try again later" in answer.json()["detail"]
+
+
+def test_a_diagnosis_of_too_many_poses_is_refused_and_says_how_many_it_takes(shared_client, monkeypatch):
+    run = imported(shared_client, "AS-1")
+    monkeypatch.setattr(stored_runs, "MOST_POSES", 3)
+    answer = shared_client.post(f"/api/runs/{run['id']}/diagnosis", json={})
+    assert answer.status_code == 422
+    assert "at most 3 poses" in answer.json()["detail"]
+
+
+def test_an_upload_that_this_machine_has_no_room_for_is_503_and_says_where(
+    shared_client, monkeypatch, tmp_path
+):
+    gone = tmp_path / "no such folder"
+    monkeypatch.setattr(tempfile, "tempdir", str(gone))
+    for size in (10, 2_000_000):  # a small one is laid there for the other process, a large one as it comes
+        file = {"file": ("p.csv", b"target_deg,reading_deg\n" + b"1,1\n" * size)}
+        answer = shared_client.post("/api/imports", files=file, data={"unit": "A"})
+        assert answer.status_code == 503, answer.text
+        assert str(gone) in answer.json()["detail"]
+        assert "make room there" in answer.json()["detail"]
+
+
+def test_poses_come_in_batches_as_they_would_at_once(shared_client):
+    rows = "".join(f"{k % 90},{k % 90 + 0.5},{k}\n" for k in range(2500))
+    run = imported(shared_client, "AS-2", f"target_deg,reading_deg,time_s\n{rows}")
+    poses = shared_client.get(f"/api/runs/{run['id']}/poses").json()
+    assert [(pose["index"], pose["time_s"]) for pose in poses] == [(k, k) for k in range(2500)]
+    text = shared_client.get(f"/api/runs/{run['id']}/poses", params={"format": "csv"}).text
+    again = imported(shared_client, "AS-3", text)
+    assert again["result"] == run["result"]

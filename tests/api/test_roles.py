@@ -47,6 +47,7 @@ NEEDED = {
     "/api/units/{serial}/calibrations": "operator",
     "/api/units/{serial}/calibrations/{revision}/release": "releaser",
     "/api/units/{serial}/calibrations/{revision}/withdraw": "releaser",
+    "/api/units/{serial}/certificates": "releaser",
     "/api/runs/{run_id}/follow-up": "operator",
     "/api/imports": "operator",
     "/api/solve": "operator",

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 from postgresql_server import ENGINE
-from support import QUICK, imported, serving, wait_for
+from support import QUICK, ended, imported, serving, wait_for
 
 from calrig.api.access import Access
 
@@ -42,7 +42,19 @@ def test_who_is_known_by_name_did_it_whatever_the_request_says(ada: httpx.Client
     taken = imported(ada, "B", operator="eve")
     assert (started["operator"], taken["operator"]) == ("ada", "ada")
     assert taken["provenance"]["operator"] == "ada"
-    assert told(ada)[1:] == [("started", "ada", "A", started["id"]), ("imported", "ada", "B", taken["id"])]
+    of_first, of_second = ("ada", "A", started["id"]), ("ada", "B", taken["id"])
+    assert wait_for(lambda: ("aborted", *of_first) in told(ada), "the abort, entered after its answer")
+    entries = {entry for entry in told(ada) if entry[0] != "user_added"}
+    assert entries == {("started", *of_first), ("aborted", *of_first), ("imported", *of_second)}
+
+
+def test_a_pause_and_its_end_are_told(ada: httpx.Client) -> None:
+    run = ada.post("/api/runs", json={"unit": "A", "plan": QUICK}).raise_for_status().json()
+    for act in ("pause", "resume"):
+        ada.post(f"/api/runs/{run['id']}/{act}").raise_for_status()
+    told_of_it = [what for what, who, _, of in told(ada) if (who, of) == ("ada", run["id"])]
+    assert told_of_it == ["started", "paused", "resumed"]
+    ended(ada, run["id"])
 
 
 def test_the_log_names_them_too(ada: httpx.Client, caplog: pytest.LogCaptureFixture) -> None:

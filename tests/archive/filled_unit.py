@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from dated_runs import gave
 from kept_maps import solved
 
 from calrig.analysis.amendments import Records
-from calrig.analysis.certificates import certificate_dcc
+from calrig.analysis.certificates import archive_of
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stage_maps import provenance_part, put_in_force
 from calrig.calibration.poses import Pose
-from calrig.export.archive.contents import unit_archive
-from calrig.laboratory import LaboratorySettings
 from calrig.store import AcceptedEffect, SampleBlock, Store
-from calrig.store.issued import Revision
 
 UNIT = "AS/42 ä"
 MAPPED = "M-2"
@@ -90,9 +85,5 @@ def measured(store: Store, status: str) -> None:
 
 
 def archive(store: Store, unit: str = UNIT) -> bytes:
-    """Of a unit, with its certificates as XML: those on paper take a while."""
-
-    def certificates(revision: Revision) -> Iterator[tuple[str, bytes]]:
-        yield "xml", certificate_dcc(store, revision, LaboratorySettings(name="A laboratory"))
-
-    return b"".join(unit_archive(store, unit, Issuer(store).listed, certificates))
+    """Of a unit, with the certificates that were issued."""
+    return b"".join(archive_of(store, unit))

@@ -11,14 +11,19 @@ import zipfile
 
 import numpy as np
 import pytest
-from filled_unit import MAPPED, UNIT, archive, block, fill
+from empty_store import lay_empty_store
+from filled_unit import MAPPED, UNIT, archive, block, fill, poses_csv
 from forged import container, members, resealed, resigned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calrig.analysis.amendments import Records
+from calrig.analysis.certificates import issue_certificate
+from calrig.analysis.revisions import Issuer
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.poses_csv import read_poses
+from calrig.laboratory import LaboratorySettings
 from calrig.store import Store
 
 DOCUMENTS = (layout.REVISIONS, layout.EFFECTS, layout.RUNS, layout.MANIFEST)
@@ -135,8 +140,8 @@ def test_what_is_missing_extra_or_cut_off_is_named(whole, check):
     name = layout.document_name(2)
     less = {key: content for key, content in kept.items() if key != name}
     assert check(container(less)).problems == [(name, "is missing")]
-    more = {layout.certificate_name(1, "pdf"): b"%PDF", **kept}
-    assert check(container(more)).problems == [(layout.certificate_name(1, "pdf"), "is not in the manifest")]
+    name = layout.certificate_name("0001-0123456789AB", "pdf")
+    assert check(container({name: b"%PDF", **kept})).problems == [(name, "is not in the manifest")]
     for cut in range(0, len(whole), 997):
         assert check(whole[:cut]).problems
     assert "byte" in said(check(b"PK\x03\x04" + whole)), "something was put before it"
@@ -197,6 +202,30 @@ def test_a_changed_or_lost_entry_of_the_trail_is_found(whole, check):
     manifest = json.loads(members(whole)[layout.MANIFEST])
     early = {**manifest["trail"], "head": {"seq": 3, "sha256": "0" * 64}}
     assert "does not lead to its head" in said(check(resigned(whole, manifest={"trail": early})))
+
+
+def test_certificates_are_those_that_the_trail_tells_of(tmp_path, check):
+    url = f"sqlite:///{tmp_path / 'calrig.db'}"
+    lay_empty_store(tmp_path / "calrig.db")
+    with Store.open(url, writer="test") as store:
+        issuer = Issuer(store)
+        Records(store, issuer).import_poses(unit="A", rig="r", file_name="p.csv", content=poses_csv(1))
+        (revision,) = store.revisions.of("A")
+        issued = issue_certificate(store, revision, LaboratorySettings())
+        whole = archive(store, "A")
+    pdf, xml = (layout.certificate_name(issued.number, form) for form in ("pdf", "dcc"))
+    assert check(whole).problems == []
+
+    def wrong(name, content):
+        return check(resigned(whole, contents={name: content})).problems
+
+    ((where, what),) = wrong(pdf, b"%PDF")
+    assert where == pdf and "SHA-256" in what
+    ((where, what),) = wrong(xml, None)
+    assert where == layout.TRAIL and xml in what
+    forged = layout.certificate_name("0001-0123456789AB", "pdf")
+    ((where, what),) = wrong(forged, b"%PDF")
+    assert where == forged and "never issued" in what
 
 
 def hostile(*names: str, **options) -> bytes:

@@ -19,8 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from packet_stream import MPU, sample_blocks
 
-from calrig.simulator.boards.calrig import BLOCK_INTERVAL_S
-from calrig.simulator.boards.calrig.packets import ACKNOWLEDGE, IDENTITY, packet
+from calrig.simulator.board import ACKNOWLEDGE, BLOCK_INTERVAL_S, IDENTITY, packet
 from calrig.simulator.wire import Wire, open_port
 
 

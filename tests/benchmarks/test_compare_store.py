@@ -83,6 +83,6 @@ def test_comparison_with_changes_and_due_dates(benchmark, store):
         histories._changes.cache_clear()
         found = histories.histories(store)
         due = due_dates(store, found, limits=[limit])
-        return to_json(comparison(found, compared_runs(store, None, found), due), inf_nan_mode="null")
+        return to_json(comparison(found, compared_runs(store, None, found), due, {}), inf_nan_mode="null")
 
     assert len(benchmark(answer)) > 100_000

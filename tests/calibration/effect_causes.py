@@ -14,9 +14,9 @@ import numpy as np
 
 from calrig.calibration.poses import Pose
 from calrig.estimation.kalman import KalmanFilter
+from calrig.simulator.bench import Mount
 from calrig.simulator.config import ImuOptions, MountOptions
 from calrig.simulator.imu import Imu, Surroundings
-from calrig.simulator.mount import Mount
 from calrig.simulator.trajectory import Turn
 
 N_POSES = 120

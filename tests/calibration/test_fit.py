@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, linregress
 
+from calrig.calibration.correlated_errors import expected_widening
 from calrig.calibration.line import fit_line, residuals_deg, rms
 
 GRID_DEG = np.tile(np.arange(-60.0, 61.0, 10.0), 4)
@@ -21,6 +22,7 @@ GRID_DEG = np.tile(np.arange(-60.0, 61.0, 10.0), 4)
     scale=st.floats(0.5, 1.3),
     theta_deg=st.lists(st.floats(-90.0, 90.0), min_size=2, max_size=30).filter(lambda x: np.ptp(x) > 1.0),
 )
+@example(bias_deg=0.0, scale=0.5, theta_deg=[1.5, 1e-300, 1.5])
 def test_exact_readings_give_back_bias_and_scale(bias_deg, scale, theta_deg):
     theta_deg = np.array(theta_deg)
     unwrapped_deg = bias_deg + scale * theta_deg
@@ -35,13 +37,15 @@ def test_exact_readings_give_back_bias_and_scale(bias_deg, scale, theta_deg):
     np.testing.assert_allclose(left_deg, 0.0, atol=1e-8)
 
 
+@pytest.mark.statistical
 def test_estimates_scatter_by_their_stated_standard_errors():
     """1500 runs on a grid that is not about 0, so that bias and scale are correlated."""
-    theta_deg = np.tile(np.arange(-20.0, 61.0, 10.0), 2)
+    theta_deg = np.tile(np.arange(-20.0, 61.0, 10.0), 16)
     truth = np.array([0.8, 1.004])
     off, stated = [], []
-    for seed in range(1500):
-        noise_deg = np.random.default_rng(seed).normal(0.0, 0.05, len(theta_deg))
+    rng = np.random.default_rng(5)
+    for _ in range(1500):
+        noise_deg = rng.normal(0.0, 0.05, len(theta_deg))
         line = fit_line(theta_deg, truth[0] + truth[1] * theta_deg + noise_deg)
         off.append([line.bias_deg - truth[0], line.scale - truth[1]])
         stated.append(line.covariance)
@@ -64,7 +68,8 @@ def test_line_and_errors_equal_an_independent_regression():
     line, expected = fit_line(theta_deg, reading_deg), linregress(theta_deg, reading_deg)
 
     assert (line.bias_deg, line.scale) == pytest.approx((expected.intercept, expected.slope), rel=1e-10)
-    assert (line.bias_std_deg, line.scale_std) == pytest.approx((expected.intercept_stderr, expected.stderr))
+    stated = line.bias_std_deg / expected.intercept_stderr, line.scale_std / expected.stderr
+    assert stated == pytest.approx(expected_widening(40)[1:], rel=0.25), "in white noise a little larger"
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -79,7 +84,7 @@ def test_at_one_angle_scale_is_unknown_and_bias_is_the_mean(told):
     error_deg = reading_deg - theta_deg
     assert (line.scale, line.scale_std, line.covariance) == (None, None, None)
     assert line.bias_deg == pytest.approx(error_deg.mean())
-    assert line.bias_std_deg == pytest.approx(error_deg.std(ddof=1) / math.sqrt(50))
+    assert line.bias_std_deg == pytest.approx(error_deg.std(ddof=1) / math.sqrt(50), rel=0.2)
 
 
 def test_one_pose_gives_a_bias_and_two_give_a_line_both_without_errors():

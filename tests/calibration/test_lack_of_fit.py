@@ -46,6 +46,7 @@ def drift() -> np.ndarray:
     return 0.2 * (1.0 - np.exp(-np.linspace(0.0, 3.0, len(TARGETS_DEG))))
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("dwell_deg", [None, NOISE_DEG])
 def test_noise_lacks_nothing_at_the_nominal_rate(dwell_deg: float | None) -> None:
     runs = 600
@@ -106,6 +107,7 @@ def test_the_residual_has_a_degree_of_freedom_less_for_each_parameter() -> None:
     assert residual.std_deg == pytest.approx(np.sqrt(np.sum(left_deg**2) / (len(TARGETS_DEG) - 2)))
 
 
+@pytest.mark.statistical
 def test_the_pure_error_of_revisits_is_known_by_the_freedom_that_is_said() -> None:
     """Of a variance with ν degrees of freedom 2/ν is the squared coefficient of variation."""
     pure = [lack.pure for lack in (held(noise(seed)) for seed in range(500)) if lack.pure is not None]

@@ -70,6 +70,25 @@ def test_an_order_is_that_of_the_elevation_that_the_late_reading_stands_for():
     assert found["final"]["held_out_rms_deg"] <= 1.2 * NOISE_DEG
 
 
+def test_small_orders_are_found_beside_a_large_one_that_a_delay_moves():
+    rng = np.random.default_rng(3)
+    time_s = 0.17 * np.arange(116) + rng.uniform(0.0, 0.04, 116)
+    delay_s = 0.1
+    late_deg = strokes_deg(time_s - delay_s, 177.0, 36.0)
+    orders_deg = {2: 0.3, 4: 8.0, 12: 0.3}
+    reading_deg = late_deg + rng.normal(0.0, NOISE_DEG, len(time_s))
+    for order, amplitude_deg in orders_deg.items():
+        reading_deg += amplitude_deg * np.sin(order * np.radians(late_deg) + order)
+    poses = posed(target_deg=strokes_deg(time_s, 177.0, 36.0), reading_deg=reading_deg, time_s=time_s)
+    found = found_in(poses)
+    assert {effect["name"] for effect in found["effects"]} == {"latency", "stage_periodic"}
+    periods = [e["parameters"]["period_deg"]["value"] for e in found["effects"] if e["name"] != "latency"]
+    assert sorted(periods) == pytest.approx([360.0 / order for order in (12, 4, 2)], rel=0.01)
+    (delay,) = [e["parameters"]["delay_s"] for e in found["effects"] if e["name"] == "latency"]
+    assert delay["value"] == pytest.approx(delay_s, rel=0.05)
+    assert found["final"]["fit_rms_deg"] <= 1.2 * NOISE_DEG
+
+
 def test_what_is_accepted_of_a_late_log_is_taken_out_at_the_elevations_that_its_readings_stand_for():
     poses = three_turns(1)
     effects = [(e["name"], numbers_of(e["parameters"])) for e in found_in(poses)["effects"]]

@@ -45,10 +45,10 @@ def known_level(of=None, reference=STAGE):
 
 @pytest.mark.parametrize(
     ("bent_deg", "answer"),
-    [(0.0, "pass"), (0.08, "conditional_pass"), (0.12, "conditional_fail"), (0.2, "fail")],
+    [(0.0, "pass"), (0.08, "conditional_pass"), (0.12, "conditional_fail"), (0.4, "fail")],
 )
 def test_the_largest_error_is_what_is_left_and_the_answer_one_of_four(bent_deg, answer):
-    """0.12° allowed, U about 0.05°: bent by so much at 0°, ±60° and against it at ±30°."""
+    """0.12° allowed: bent by so much at 0°, ±60° and against it at ±30°. U is 0.05°, and half of the bend."""
     one = judged(of=poses(bent_deg=bent_deg), max_error_deg=0.12, rule="guarded")
     assert (one.answer, one.limit) == (answer, "flight")
     assert all(word in one.says[0] for word in ("flight", "guarded", "w = 1·U"))

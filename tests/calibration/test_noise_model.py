@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.linalg import block_diag
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from calrig.calibration.regression.noise_model import PRIOR_RHO_STD, distance_of, fit, noise_of
+from calrig.calibration.regression.noise_model import PRIOR_RHO_STD, NoiseModel, distance_of, fit, noise_of
 from calrig.calibration.regression.responses import Responses, responses_of
 
 RHO = 0.6
@@ -80,3 +81,19 @@ def test_a_distance_from_nothing_is_the_same_in_any_units():
         distance_of(beta, covariance)
     )
     assert distance_of(beta, covariance) == pytest.approx(beta @ np.linalg.solve(covariance, beta))
+
+
+@pytest.mark.parametrize("starts_at", [[0], [0, 30, 31, 80], range(100)])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_products_of_innovations_need_no_whitened_columns(starts_at: Sequence[int], share: float) -> None:
+    rng = np.random.default_rng(5)
+    noise = NoiseModel(np.eye(2), np.array([0.9, -0.4]))
+    starts = np.isin(np.arange(100), list(starts_at))
+    columns, values = rng.normal(size=(2, 7, 3, 100)), rng.normal(size=(2, 4, 100))
+    white_columns = noise.innovations(columns, starts, share)
+    white_values = noise.innovations(values, starts, share)
+    unwhitened = noise.unwhitened(white_values, starts, share)
+    products = np.einsum("jckn,jbn->jckb", white_columns, white_values)
+    assert np.einsum("jckn,jbn->jckb", columns, unwhitened) == pytest.approx(products, abs=1e-10)
+    (gram,) = noise.gram_of_innovations(columns, starts, [share])
+    assert gram == pytest.approx(np.einsum("jckn,jcmn->jckm", white_columns, white_columns), abs=1e-10)

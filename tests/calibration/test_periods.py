@@ -56,7 +56,7 @@ def turned_once(rng, *, over_deg=360.0):
     return {"target_deg": targets, "reading_deg": readings, **gravity}, seen
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.statistical) for k in range(1, 6))])
 def test_an_angle_of_the_accelerometer_that_wraps_takes_neither_the_scale_nor_the_turns_order(seed):
     columns, seen = turned_once(np.random.default_rng(200 + seed))
     found = document(diagnose([posed(**columns, accel_deg=wrap_deg(seen))], bootstraps=199), ["a run"])
@@ -189,7 +189,7 @@ def test_harmonics_of_a_period_that_was_found_are_offered_with_it():
     assert len(harmonics_of(r, [worm, offered[0]])) < len(offered)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.statistical) for k in (1, 2))])
 def test_orders_of_an_axis_and_the_electrical_period_of_its_motor_are_found_at_once(seed):
     rng = np.random.default_rng(17 + seed)
     sizes = {1: 0.4, 2: 0.2, 4: 0.3, 8: 0.1, 50: 0.08}
@@ -207,6 +207,7 @@ def test_at_constant_speed_a_wave_of_the_angle_is_no_cycle_of_time():
     assert periods_in(effects) == {180.0, 90.0}
 
 
+@pytest.mark.statistical
 def test_the_standard_error_of_a_period_is_its_scatter():
     rng = np.random.default_rng(7)
     effect = EFFECTS["stage_periodic"]

@@ -10,7 +10,8 @@ from scipy import stats
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference
-from calrig.calibration.uncertainty.verdict import make_verdict, noise_bound
+from calrig.calibration.uncertainty.conformity import deg_and_limit
+from calrig.calibration.uncertainty.verdict import _apart, make_verdict, noise_bound
 
 NOISE_DEG = 0.02
 
@@ -40,6 +41,7 @@ def test_the_limit_is_what_noise_alone_stays_under_in_ninety_nine_of_a_hundred_r
     assert stats.chi2.sf(noise_bound(freedom) ** 2 * freedom, freedom) == pytest.approx(0.01, rel=1e-6)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("n", [4, 26, 104])
 def test_noise_alone_is_called_more_than_noise_in_one_run_of_a_hundred(n):
     runs = 1000
@@ -139,3 +141,17 @@ def test_poses_of_one_elevation_have_no_scale():
     judged = make_verdict(one)
     assert any("one elevation" in said for said in judged.says)
     assert any("only 4 poses" in said for said in judged.says)
+
+
+@pytest.mark.parametrize(("ratio", "bound"), [(1.2389, 1.2388), (1.23881, 1.2388), (1.2351, 1.2449)])
+def test_the_digits_show_which_of_ratio_and_bound_is_larger(ratio, bound):
+    first, second = _apart(ratio, bound)
+    assert (float(first) > float(second), float(first) == float(second)) == (ratio > bound, False)
+    assert _apart(3.0, bound)[0] == "3.00"
+
+
+@pytest.mark.parametrize(("value", "limit"), [(0.2049, 0.2), (0.19996, 0.2), (0.2, 0.2), (0.2149, 0.215)])
+def test_the_digits_show_on_which_side_of_its_limit_an_error_lies(value, limit):
+    shown, most = (float(text.partition("°")[0]) for text in deg_and_limit(value, limit))
+    assert most == limit
+    assert (shown > most, shown == most) == (value > limit, value == limit)

@@ -117,7 +117,7 @@ def test_a_backup_in_the_middle_of_a_run_is_one_file_with_every_pose_announced_b
     announced = poses()
     said = calrig("backup", tmp_path / "copy.db", "--db", store_path).stdout
     assert client.get(f"/api/runs/{run_id}").json()["status"] == "running", "the run goes on"
-    assert re.search(r"copy\.db: 1 runs, \d+ poses, \d+\.\d MB\n$", said)
+    assert re.search(r"copy\.db: 1 runs, \d+ poses, \d+\.\d MB\n.*log: 1, SHA-256 [0-9a-f]{64}\n$", said)
     assert [p.name for p in tmp_path.glob("copy.db*")] == ["copy.db"], "one self-contained file"
     client.post(f"/api/runs/{run_id}/abort").raise_for_status()
 

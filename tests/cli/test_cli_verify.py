@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+from contextlib import closing
 
 from command_line import calrig, reason
 
@@ -10,10 +12,10 @@ from command_line import calrig, reason
 def test_an_archive_is_made_once_and_checked_without_the_store(folder):
     calrig("import", "poses.csv", "--unit", "A/1")
     said = calrig("export", "--unit", "A/1", "--format", "archive", "--out", "a.zip").stdout
-    assert said == "a.zip: 0.1 MB\n"
+    assert said == f"a.zip: {(folder / 'a.zip').stat().st_size / 1e3:.1f} kB\n"
     (folder / "calrig.db").unlink()
     lines = calrig("verify", "a.zip").stdout.splitlines()
-    assert lines[0].startswith("a.zip: intact, 11 files of unit A/1 as of 20")
+    assert lines[0].startswith("a.zip: intact, 9 files of unit A/1 as of 20")
     assert lines[1:3] == ["1 revisions, 1 runs", "the poses give the numbers of revision 1"]
     assert lines[3].startswith("3 entries of the trail, whose head is 3: ")
     found = json.loads(calrig("verify", "a.zip", "--json").stdout)
@@ -29,6 +31,29 @@ def test_an_archive_is_made_once_and_checked_without_the_store(folder):
     assert "poses.csv: " in done.stderr, "where it is"
     told = calrig("verify", "a.zip", "--json", status=1)
     assert len(json.loads(told.stdout)["problems"]) == len(told.stderr.splitlines()) == 2
+
+
+def test_a_backup_and_an_archive_prove_that_nothing_was_cut_off_the_audit_log(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    told = calrig("backup", "copy.db").stdout
+    calrig("export", "--unit", "A", "--format", "archive", "--out", "a.zip")
+    calrig("import", "poses.csv", "--unit", "B")
+    with closing(sqlite3.connect(folder / "calrig.db")) as store:
+        seq, sha256 = store.execute("SELECT seq, sha256 FROM trail ORDER BY seq").fetchall()[2]
+    assert f"{seq}, SHA-256 {sha256}" in told, "to be noted elsewhere"
+    for anchor in ("copy.db", "a.zip"):
+        assert f"head is {seq}: {sha256}" in calrig("verify", anchor, "--db", "calrig.db").stdout
+
+    with closing(sqlite3.connect(folder / "calrig.db")) as store, store:
+        store.execute("DELETE FROM trail WHERE seq >= 3")
+    for anchor in ("copy.db", "a.zip"):
+        assert calrig("verify", anchor).stderr == "", "by itself it is intact"
+        failed = calrig("verify", anchor, "--db", "calrig.db", status=1)
+        assert "calrig.db" in failed.stderr and sha256 in failed.stderr
+    with closing(sqlite3.connect(folder / "copy.db")) as copy, copy:
+        copy.execute("UPDATE trail SET who = 'eve' WHERE seq = 2")
+    found = json.loads(calrig("verify", "copy.db", "--json", status=1).stdout)
+    assert (found["intact"], found["trail"]["broken_at"]) == (False, 2)
 
 
 def test_a_certificate_for_programs_goes_where_it_is_asked_to(folder):

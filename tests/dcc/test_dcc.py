@@ -8,6 +8,7 @@ import re
 from xml.etree import ElementTree as ET
 
 import pytest
+from laboratory_keys import key_files
 from random_certificates import random_certificate
 
 from calrig.errors import WorkError
@@ -86,29 +87,9 @@ UNCERTAINTY = ("uncertainty", "coverageFactor", "coverageProbability")
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory):
-    """A key of a laboratory and its certificate, signed by itself."""
-    from datetime import UTC, datetime, timedelta
-
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-
+    """Two laboratories' keys, each with its certificate."""
     folder = tmp_path_factory.mktemp("keys")
-    made = []
-    for name in ("lab", "other"):
-        key = ec.generate_private_key(ec.SECP256R1())
-        of = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
-        now = datetime.now(UTC)
-        builder = x509.CertificateBuilder(of, of, key.public_key(), 1, now, now + timedelta(days=2))
-        cert = builder.sign(key, hashes.SHA256())
-        pem = serialization.Encoding.PEM
-        no_password = serialization.NoEncryption()
-        secret = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, no_password)
-        paths = folder / f"{name}.key", folder / f"{name}.pem"
-        paths[0].write_bytes(secret)
-        paths[1].write_bytes(cert.public_bytes(pem))
-        made.append(paths)
-    return made
+    return [key_files(folder, name) for name in ("lab", "other")]
 
 
 def test_a_signed_dcc_is_valid_and_any_change_breaks_its_signature(errors_in, keys):

@@ -1,14 +1,23 @@
-"""The filters side by side on the simulated stage, and on the logs that people have."""
+"""The filters side by side on the simulated stage and on people's logs; their jitter per 100 ms."""
 
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from simulated_moves import RATE_HZ, WHITE_ELEVATION, WHITE_GYRO, moves_log
 
-from calrig.estimation.filter_comparison import compare_filters, tuned_against_paper
+from calrig.estimation.filter_comparison import (
+    SAVITZKY_GOLAY_ORDERS,
+    compare_filters,
+    jitter,
+    moving_average,
+    savitzky_golay,
+    tuned_against_paper,
+)
 from calrig.estimation.tuning import tuned_noise
 
 NAMES = [
@@ -229,3 +238,130 @@ def test_an_elevation_about_half_a_turn_is_no_leap():
 def test_a_log_that_means_nothing_is_refused(time_s, elevation_deg, complaint):
     with pytest.raises(ValueError, match=complaint):
         compare_filters(time_s, elevation_deg)
+
+
+TIME_S = np.arange(20_000) * 0.005
+WHOLE = [slice(0, 20_000)]
+
+
+def noise(sigma_deg=0.3, n=20_000, seed=0):
+    return np.random.default_rng(seed).normal(0.0, sigma_deg, n)
+
+
+def test_jitter_of_white_noise_is_its_standard_deviation():
+    found = jitter(TIME_S, 60.0 + noise(), WHOLE)
+
+    assert found.n_bins == 1000
+    in_variances = found.std_deg**2 / 0.3**2 * 19_000
+    assert chi2.ppf(1e-4, 19_000) < in_variances < chi2.ppf(1.0 - 1e-4, 19_000)
+    assert found.step_deg == pytest.approx(0.3 * math.sqrt(2.0 / 20.0), rel=0.1)
+
+
+def test_each_bin_is_measured_about_its_own_mean_on_an_uneven_clock():
+    rng = np.random.default_rng(2)
+    time_s = np.cumsum(rng.uniform(0.004, 0.006, 5000))
+    angle_deg = noise(n=5000)
+    stretches = [slice(10, 2000), slice(2500, 5000)]
+
+    found = jitter(time_s, angle_deg, stretches)
+
+    bins = []
+    for stretch in stretches:
+        time, angle = time_s[stretch] - time_s[stretch.start], angle_deg[stretch]
+        count = int(time[-1] / 0.1)
+        bins += [angle[(time >= 0.1 * k) & (time < 0.1 * (k + 1))] for k in range(count)]
+    assert found.n_bins in (len(bins), len(bins) + 1, len(bins) + 2)  # a last bin may be nearly full
+    assert found.std_deg == pytest.approx(math.sqrt(np.mean([b.var(ddof=1) for b in bins])), rel=0.01)
+    assert found.peak_to_peak_deg == pytest.approx(
+        math.sqrt(np.mean([np.ptp(b) ** 2 for b in bins])), rel=0.01
+    )
+
+
+def test_samples_on_the_border_of_a_bin_belong_to_the_next_whatever_their_decimals():
+    found = jitter(np.round(1700.0 + TIME_S, 3), np.tile([0.0] * 20 + [1.0] * 20, 500), WHOLE)
+
+    assert found.std_deg == 0.0
+    assert found.step_deg == 1.0
+
+
+def test_a_slow_wander_is_in_the_step_from_bin_to_bin():
+    walk, white = (jitter(TIME_S, angle_deg, WHOLE) for angle_deg in (np.cumsum(noise()), noise()))
+
+    assert walk.std_deg < 0.6 * walk.step_deg
+    assert white.std_deg > 3.0 * white.step_deg
+
+
+def test_samples_without_a_value_are_passed_over():
+    angle_deg = noise()
+    with_gaps = angle_deg.copy()
+    with_gaps[:500] = np.nan
+
+    assert jitter(TIME_S, with_gaps, WHOLE) == jitter(TIME_S, angle_deg, [slice(500, 20_000)])
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "stretches"),
+    [(0.05, WHOLE), (0.005, []), (0.005, [slice(0, 10)]), (0.005, [slice(0, 0), slice(3, 4)])],
+)
+def test_without_a_full_bin_there_is_no_jitter(interval_s, stretches):
+    assert jitter(TIME_S / 0.005 * interval_s, noise(), stretches) is None
+
+
+def test_a_signal_without_any_value_has_no_jitter():
+    assert jitter(TIME_S, np.full(20_000, np.nan), WHOLE) is None
+
+
+NOISE = np.random.default_rng(0).normal(40.0, 0.3, 60)
+
+
+def test_moving_average_is_the_mean_of_the_last_ten():
+    smoothed = moving_average(NOISE)
+
+    assert np.isnan(smoothed[:9]).all()
+    np.testing.assert_allclose(smoothed[9:], [NOISE[i - 9 : i + 1].mean() for i in range(9, 60)], rtol=1e-13)
+
+
+@pytest.mark.parametrize("order", SAVITZKY_GOLAY_ORDERS)
+@pytest.mark.parametrize(("centred", "at"), [(False, 10), (True, 5)])
+def test_savitzky_golay_is_a_polynomial_through_each_eleven(order, centred, at):
+    smoothed = savitzky_golay(NOISE, order, centred=centred)
+
+    x = np.arange(11.0) - at
+    fitted = [np.polynomial.Polynomial.fit(x, NOISE[i : i + 11], order)(0.0) for i in range(50)]
+    np.testing.assert_allclose(smoothed[at : at + 50], fitted, rtol=1e-10)
+    assert np.isnan(smoothed[:at]).all()
+    assert np.isnan(smoothed[at + 50 :]).all()
+
+
+@pytest.mark.parametrize(
+    ("smooth", "late_samples"),
+    [
+        (moving_average, 4.5),
+        (lambda x: moving_average(x, centred=True), 0.0),
+        (lambda x: savitzky_golay(x, 1), 0.0),
+        (lambda x: savitzky_golay(x, 1, centred=True), 0.0),
+    ],
+)
+def test_only_the_causal_moving_average_comes_late_on_a_straight_line(smooth, late_samples):
+    line = 100.0 + 0.1 * np.arange(40.0)
+
+    smoothed = smooth(line)
+
+    known = np.isfinite(smoothed)
+    np.testing.assert_allclose(smoothed[known], line[known] - 0.1 * late_samples, atol=1e-12)
+
+
+def test_a_stretch_shorter_than_the_window_has_no_value():
+    for smoothed in (moving_average(NOISE[:9]), savitzky_golay(NOISE[:10], 2), moving_average(NOISE[:0])):
+        assert np.isnan(smoothed).all()
+
+
+@pytest.mark.parametrize(("order", "window"), [(2, 10), (11, 11), (-1, 11)])
+def test_a_window_that_cannot_hold_the_order_is_refused(order, window):
+    with pytest.raises(ValueError, match=f"order {order} over {window} samples"):
+        savitzky_golay(NOISE, order, window)
+
+
+def test_a_moving_average_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="holds none"):
+        moving_average(NOISE, 0)

@@ -23,6 +23,7 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 
 
+@pytest.mark.statistical
 def test_a_dwells_bias_scatters_by_its_stated_error():
     true_dps = np.array([1.5, -0.3, 0.0])
     biases = [

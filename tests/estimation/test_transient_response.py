@@ -119,6 +119,7 @@ def test_lag_of_a_delayed_copy_is_its_delay(delay_s):
     assert found.largest_offset_deg == pytest.approx(20.0 * abs(delay_s), abs=0.02)
 
 
+@pytest.mark.statistical
 def test_lag_scatters_by_its_stated_error():
     off, stated = [], []
     for seed in range(40):

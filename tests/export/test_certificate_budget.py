@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
@@ -85,12 +88,38 @@ def test_gtc_has_the_same_budget(reference: Reference, ends: tuple[float, float]
     whole = type_a + GTC.ureal(0.0, document["uncertainty"]["reference_deg"])
     assert budget.effective_freedom == pytest.approx(GTC.dof(whole))
     if reference.distribution == "normal" or reference.kind == "setting":
-        assert document["coverage_factor"] == pytest.approx(GTC.reporting.k_factor(GTC.dof(whole), 95))
+        parts = math.sqrt(sum(of_type_a) / 2), document["uncertainty"]["reference_deg"]
+        assert covered_by(document["expanded_uncertainty_deg"], parts, 24) == pytest.approx(0.95, abs=5e-5)
+
+
+def covered_by(expanded: float, parts: tuple[float, float], freedom: float) -> float:
+    """The share within ± expanded: Student's t of type A and a normal type B, convolved by quadrature."""
+    type_a, type_b = parts
+    above, _ = quad(
+        lambda z: norm.pdf(z) * student.sf((expanded - type_b * z) / type_a, freedom),
+        -9.0,
+        9.0,
+        points=[max(-9.0, min(9.0, expanded / type_b))],
+        limit=400,
+    )
+    return float(1.0 - 2.0 * above)
+
+
+def test_only_documents_of_earlier_programs_have_k_by_welch_and_satterthwaite() -> None:
+    reference = Reference(0.05, "harmonic", "normal")
+    _, document = calibrated(reference, n=6)
+    now = budget_of(document, reference, 4)
+    assert "convolved" in now.method[1]
+    assert f"{now.effective_freedom:.0f}".split(".", maxsplit=1)[0] in now.method[2]
+    by_welch = GTC.reporting.k_factor(now.effective_freedom, 95)
+    before = budget_of({**document, "coverage_factor": by_welch}, reference, 4)
+    assert len(before.method) == 2
+    assert "Satterthwaite" in before.method[1]
 
 
 @pytest.mark.parametrize("n", [8, 26])
 @pytest.mark.parametrize("std_deg", [1e-6, 0.02])
-def test_bias_and_scale_have_gtcs_uncertainty_and_coverage_factor(std_deg: float, n: int) -> None:
+def test_bias_and_scale_have_gtcs_uncertainty_and_a_factor_that_covers(std_deg: float, n: int) -> None:
     reference, freedom = Reference(std_deg, "common", "normal"), n - 2
     poses, document = calibrated(reference, n=n)
     stated = {"std_deg": std_deg, "kind": "common", "distribution": "normal"}
@@ -102,10 +131,13 @@ def test_bias_and_scale_have_gtcs_uncertainty_and_coverage_factor(std_deg: float
     for k, (line, part) in enumerate(zip(results.line, ("bias_deg", "scale"), strict=True)):
         of_poses = GTC.ureal(0.0, math.sqrt(document["covariance"][k][k]), freedom)
         whole = of_poses + GTC.ureal(0.0, worth[f"reference_{part}"])
-        factor = GTC.reporting.k_factor(GTC.dof(whole), 95)
         assert (line.name, line.std) == (part, pytest.approx(GTC.uncertainty(whole)))
-        assert line.coverage_factor == pytest.approx(factor)
-        assert line.expanded == pytest.approx(factor * GTC.uncertainty(whole))
+        assert line.expanded == pytest.approx(line.coverage_factor * GTC.uncertainty(whole))
+        if of_stage := worth[f"reference_{part}"]:
+            parts = GTC.uncertainty(of_poses), of_stage
+            assert covered_by(line.expanded, parts, freedom) == pytest.approx(0.95, abs=5e-5)
+        else:
+            assert line.coverage_factor == pytest.approx(GTC.reporting.k_factor(freedom, 95))
 
 
 def test_degrees_of_freedom_are_printed_as_the_next_lower_whole_number() -> None:

@@ -154,7 +154,7 @@ def sheet_of(names, seed):
 
 
 def read_poses(data):
-    poses, _, said = read_run(data, "A")
+    poses, _, said, _ = read_run(data, "A")
     return {name: poses.cells(name) for name in ["pass", *POSES]}, said
 
 
@@ -215,7 +215,7 @@ def test_decorated_tables_give_the_arrays_of_the_plain_one(names, read, decorati
     ],
 )
 def test_a_stated_unit_is_converted_where_that_is_exact(names, row, expected):
-    poses, _, said = read_run(f"{names}\n{row}\n".encode(), "A")
+    poses, _, said, _ = read_run(f"{names}\n{row}\n".encode(), "A")
     assert said
     for name, value in expected.items():
         cells = poses.cells(name)
@@ -288,7 +288,7 @@ def test_of_very_many_faults_the_first_are_told_and_the_others_counted():
 
 def test_a_column_that_is_nearly_a_known_one_stays_a_covariate_with_a_warning():
     header = "target_deg,reading_deg,temprature_c,heading_deg,temperature2_c,accel_std_g"
-    poses, _, said = read_run(f"{header}\n1,2,20,4,21,0.1\n".encode(), "A")
+    poses, _, said, _ = read_run(f"{header}\n1,2,20,4,21,0.1\n".encode(), "A")
     assert poses.cells("temprature_c") == [20.0]
     assert poses.cells("temperature_c") is None
     (warning,) = said
@@ -316,7 +316,7 @@ def test_a_log_names_the_nearest_channel_where_it_has_none():
 
 
 def test_a_name_like_a_known_one_over_words_is_a_column_of_words():
-    poses, _, _ = read_run(b"target_deg,reading_deg,Pass\n0,0.1,OK\n1,1.2,FAIL\n", "A")
+    poses, _, _, _ = read_run(b"target_deg,reading_deg,Pass\n0,0.1,OK\n1,1.2,FAIL\n", "A")
     assert poses.cells("pass") is None
     with pytest.raises(CsvError, match="line 2, column pass"):
         read_run(b"target_deg,reading_deg,pass\n0,0.1,OK\n1,1.2,FAIL\n", "A")
@@ -324,12 +324,12 @@ def test_a_name_like_a_known_one_over_words_is_a_column_of_words():
 
 @pytest.mark.parametrize("name", ["reading_deg min", "temperature_c/min", "temperature_c 1", "pass [V]"])
 def test_a_known_name_with_something_else_beside_it_is_a_column_of_its_own(name):
-    poses, _, _ = read_run(f"target_deg,reading_deg,{name}\n0,0.1,1.5\n1,1.2,2.5\n".encode(), "A")
+    poses, _, _, _ = read_run(f"target_deg,reading_deg,{name}\n0,0.1,1.5\n1,1.2,2.5\n".encode(), "A")
     assert poses.cells(name) == [1.5, 2.5]
 
 
 def test_a_comment_before_the_first_row_hides_no_clock():
-    poses, _, _ = read_run(
+    poses, _, _, _ = read_run(
         b"time,target_deg,reading_deg\n# started\n2024-05-01T12:00:00,0,0\n2024-05-01T12:00:09,1,1\n", "A"
     )
     assert poses.cells("time_s") == [0.0, 9.0]
@@ -338,3 +338,26 @@ def test_a_comment_before_the_first_row_hides_no_clock():
 def test_a_name_without_end_is_refused_at_once():
     with pytest.raises(CsvError, match="at most 100 characters"):
         read_run(b"target_deg,reading_deg,a(" + b" " * 100_000 + b"x\n0,0,0\n", "A")
+
+
+@pytest.mark.parametrize(
+    ("own", "value"), [("5,01", 5.01), ("-0,125", -0.125), ("1,234", None), ("1,5 2", None)]
+)
+def test_a_column_of_ones_own_may_have_another_decimal_sign_if_none_of_its_cells_has_thousands(own, value):
+    poses, _, said, _ = read_run(
+        f"target_deg;reading_deg;supply_v\n1.5;2.5;{own}\n2.5;3.5;{own}\n".encode(), "A"
+    )
+    assert poses.cells("target_deg") == [1.5, 2.5]
+    assert poses.cells("supply_v") == (None if value is None else [value, value])
+    assert any("supply_v" in sentence for sentence in said)
+
+
+def test_a_first_row_of_numbers_with_units_is_no_row_of_units():
+    poses, _, _, _ = read_run("target_deg,reading_deg,grade\n-60°,-59.9°,C\n-30°,-29.9°,C\n".encode(), "A")
+    assert poses.cells("target_deg") == [-60.0, -30.0]
+
+
+def test_what_a_spreadsheet_could_not_calculate_is_no_comment():
+    with pytest.raises(CsvError) as bad:
+        read_run(b"target_deg,reading_deg\n1,2\n#DIV/0!,3\n", "A")
+    assert (bad.value.line, bad.value.column) == (3, "target_deg")

@@ -6,7 +6,7 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from calrig.instruments.clamps.index import ClampError, IndexClamp
+from calrig.instruments.index_clamp import ClampError, IndexClamp
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock

@@ -7,6 +7,7 @@ from stage_ports import InProcessPort, homed, until_it_stands
 from calrig.instruments.errors import Halted, StageError
 from calrig.instruments.stages.grbl.driver import Grbl
 from calrig.instruments.stages.grbl.protocol import ALARMS, ERRORS, parse_report
+from calrig.instruments.stages.grbl.settings import ACCELERATION, RATE, STEPS, ControllerSettings
 from calrig.instruments.types import StageIdentity
 
 
@@ -334,3 +335,10 @@ def test_homing_is_stopped_by_a_reset(port, stage):
     stage._homing = True
     stage.halt()
     assert port.sent.endswith(b"!\x85\x18")
+
+
+@pytest.mark.parametrize(("rate_per_min", "is_too_fast"), [(17_900.0, False), (18_100.0, True)])
+def test_more_than_30_khz_of_steps_are_in_doubt(rate_per_min, is_too_fast):
+    """100 steps a degree: 30 kHz, which GRBL's README gives as its most, are 18,000 degrees a minute."""
+    settings = ControllerSettings({STEPS: 100.0, RATE: rate_per_min, ACCELERATION: 50.0}, 0)
+    assert any("kHz" in warning for warning in settings.warnings) is is_too_fast

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from scripted_stage import Clock, ScriptedStage
 from calrig.instruments import standstill
 from calrig.instruments.axis import Axis, Motion, travel_time_s
 from calrig.instruments.errors import Halted, LimitError, PortBlocked, StageError
+from calrig.instruments.stages.smc100.driver import Smc100
 
 
 @pytest.fixture
@@ -386,3 +388,32 @@ def test_a_port_that_takes_no_stop_at_all_is_told_of_in_time(axis, stage, clock,
 def test_two_reports_of_a_stage_that_creeps_at_half_a_degree_a_second_do_not_agree():
     assert standstill.agree(20.0, 20.009)
     assert not standstill.agree(20.0, 20.0 + 0.5 * standstill.LOOKS_APART_S)
+
+
+def test_an_axis_drives_a_controller_over_its_wire(controller):
+    axis = Axis(Smc100.open(controller.path), zero_deg=5.0, sign=-1, ratio=1.0)
+    axis.identify()
+    assert axis.needs_home()
+    axis.begin_home()
+    assert axis.poll().moving
+    controller.state = "32"
+    assert not axis.poll().moving
+    axis.begin_move(30.0)
+    controller.state, controller.position = "28", "-10"
+    assert axis.poll() == Motion(15.0, moving=True)
+    controller.state, controller.position = "33", "-25"
+    assert axis.poll() == Motion(30.0, moving=False)
+    axis.close()
+    assert [line for line in controller.received if re.match("1(OR|PA-)", line)] == ["1OR", "1PA-25"]
+
+
+def test_a_move_the_controller_never_heard_of_fails(controller):
+    clock = Clock()
+    axis = Axis(Smc100.open(controller.path), clock=clock)
+    controller.state = "33"
+    axis.begin_move(30.0)
+    axis.poll()
+    clock.at_s += 1.1
+    with pytest.raises(StageError, match=r"30°.*0\.000°"):
+        axis.poll()
+    axis.close()

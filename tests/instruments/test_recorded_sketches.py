@@ -20,7 +20,7 @@ from calrig.instruments.drivers import BOARDS, known_devices, open_board
 from calrig.instruments.errors import BoardError
 from calrig.instruments.scan import converse, probes
 from calrig.simulator.bench import Bench
-from calrig.simulator.boards.calrig import Board
+from calrig.simulator.board import Board
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import board_of
 from calrig.simulator.sketch_board import BOOT_S

@@ -66,7 +66,7 @@ def test_a_stepper_that_is_reset_on_the_way_fails_the_run_and_gives_no_angle(hom
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
-        clock.until(lambda: service.store.poses.of(run.id), "first pose")
+        clock.until(lambda: service.store.poses.count(run.id), "first pose")
         clock.until(lambda: simulated.stage.state == State.RUN, "move")
         simulated.stage.reset()
         ended = service.wait(run.id, 20)
@@ -84,7 +84,7 @@ def test_a_stepper_that_runs_into_its_limit_switch_fails_the_run_with_its_alarm_
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
-        clock.until(lambda: service.store.poses.of(run.id), "first pose")
+        clock.until(lambda: service.store.poses.count(run.id), "first pose")
         clock.until(lambda: simulated.stage.state == State.RUN, "move")
         simulated.stage.close_limit_switch()
         ended = service.wait(run.id, 20)

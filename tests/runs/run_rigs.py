@@ -92,6 +92,14 @@ def until(look: Callable[[], T | None], what: str, deadline_s: float = 15.0) -> 
     return CLOCK.until(look, what, deadline_s)
 
 
+def until_stored(store: Store, run: Run, n_poses: int, deadline_s: float = 60.0) -> None:
+    """Let time run until so many poses are stored, looking ten times a second: a look is a query."""
+    give_up_s = CLOCK.now_s() + deadline_s
+    while store.poses.count(run.id) < n_poses:
+        assert CLOCK.now_s() < give_up_s, f"no {n_poses} poses within {deadline_s:g} s"
+        CLOCK.sleep(0.1)
+
+
 def pass_time(bench: TruthRig, duration_s: float) -> None:
     """Lets so much simulated time go by."""
     CLOCK.sleep(duration_s / bench.time_scale)

@@ -53,8 +53,9 @@ def test_an_accepted_effect_enters_calibration_and_later_runs_and_a_verification
 
     accepted = Acceptance(service.store).accept(run_id, ["backlash", "accelerometer_offset"])
     assert accepted.result.rms_with_effects_deg < 0.25 * accepted.result.rms_calibrated_deg
-    of_effects = ("rms_with_effects_deg", "over_range")
-    assert all(getattr(accepted.result, key) == value for key, value in before if key not in of_effects)
+    of_effects = ("rms_with_effects_deg", "over_range", "reference")
+    changed = {key for key, value in before if getattr(accepted.result, key) != value}
+    assert changed == set(of_effects)
 
     flown = wanted_revision(service.store, "AS-1").document
     assert [effect["name"] for effect in flown["effects"]] == ["accelerometer_offset"], "play is the rig's"

@@ -119,7 +119,7 @@ def outcomes(store: Store) -> Iterator[dict[str, Outcome]]:
 
 def on_third_move(store: Store, run: Run, rig: TruthRig) -> None:
     """Until the table moves after two poses."""
-    until(lambda: len(store.poses.of(run.id)) == 2 and rig.moves(), "move after two poses", 30)
+    until(lambda: store.poses.count(run.id) == 2 and rig.moves(), "move after two poses", 30)
 
 
 def break_it(rig: TruthRig, case: Case) -> None:

@@ -41,7 +41,7 @@ def test_the_gyros_account_of_a_move_in_which_the_board_was_reset_is_not_known(
     bench: TruthRig, service: RunService, store: Store
 ) -> None:
     run = service.start(unit="AS-1", plan=plan(elevations_deg=[-40, 0, 40], order="given"))
-    until(lambda: len(store.poses.of(run.id)) == 1 and bench.moves(), "second move", 20)
+    until(lambda: store.poses.count(run.id) == 1 and bench.moves(), "second move", 20)
     bench.simulated.board.reset()
     ended = service.wait(run.id, 30)
     assert (ended.status, ended.faults["board_reset"]) == ("completed", 1)
@@ -51,7 +51,7 @@ def test_the_gyros_account_of_a_move_in_which_the_board_was_reset_is_not_known(
 
 def test_a_sensor_that_hangs_for_a_moment(bench: TruthRig, service: RunService, store: Store) -> None:
     run = service.start(unit="AS-1", plan=plan(elevations_deg=[0, 30], order="given", dwell_s=16.0))
-    until(lambda: len(store.poses.of(run.id)) == 1 and bench.moves(), "second move", 20)
+    until(lambda: store.poses.count(run.id) == 1 and bench.moves(), "second move", 20)
     until(bench.stands_for_good, "second dwell", 10)
     pass_time(bench, 4.0)
     bench.simulated.board.fault = "frozen"

@@ -78,7 +78,7 @@ def test_an_interrupted_run_stays_one_where_the_stage_is_not_where_it_was_left(o
     open_loop.simulated.stage.reset()  # it greets whoever opens its port
     service = serve(open_loop)
     run = begin(service, ENDLESS, rig=open_loop.settings.name)
-    until(lambda: store.poses.of(run.id) or None, "pose", 60)
+    until(lambda: store.poses.count(run.id), "pose", 60)
     service.close()
     assert store.runs.get(run.id).status == "interrupted"
     name, left_deg = open_loop.settings.name, store.positions.of(open_loop.settings.name).stage_deg

@@ -53,7 +53,7 @@ def test_a_store_that_refuses_stops_the_stage_and_fails_the_run_with_the_reason(
 ) -> None:
     store = own_service.store
     run = begin(own_service, plan(sweeps=200, dwell_s=4.0))
-    until(lambda: len(store.poses.of(run.id)) >= 2, "two poses")
+    until(lambda: store.poses.count(run.id) >= 2, "two poses")
     with hindered(store, pragma, lifted):
         announced = [e.data["index"] for e in events(store, run, "pose")]
         ended = until(lambda: (r := own_service.run(run.id)).status == "failed" and r, "end of the run")
@@ -73,7 +73,7 @@ def test_a_service_told_to_go_does_not_wait_for_a_store_that_refuses(
     bench: TruthRig, own_service: RunService, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = begin(own_service, plan(sweeps=200))
-    until(lambda: len(own_service.store.poses.of(run.id)) >= 1, "a pose")
+    until(lambda: own_service.store.poses.count(run.id) >= 1, "a pose")
     with hindered(own_service.store, *READ_ONLY[:2]):
         until(lambda: own_service.run(run.id).status == "failed", "end of the run")
         own_service.close()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from run_rigs import CLOCK, TruthRig, begin, events, states, until
+from run_rigs import CLOCK, TruthRig, begin, events, states, until, until_stored
 
 from calrig.analysis.errors import Invalid
 from calrig.plan import Plan
@@ -40,7 +40,7 @@ def test_reports_that_are_late_and_a_gyro_that_is_wrong_leave_nothing_in_the_pos
     )
     service = serve(rig)
     began = begin(service, SWEEP)
-    until(lambda: store.poses.count(began.id) == 1, "the first dwell", 60)
+    until_stored(store, began, 1)
     told_s, told_at_s = store.runs.get(began.id).progress.remaining_s, CLOCK.now_s()
     run = service.wait(began.id, 120)
     assert (run.status, run.error) == ("completed", None)
@@ -100,7 +100,7 @@ def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
 ) -> None:
     first = serve(bench)
     run = begin(first, SWEEP.model_copy(update={"start_deg": 30.0, "stop_deg": -30.0}))  # from above
-    until(lambda: len(store.poses.of(run.id)) >= 14, "a whole pass")
+    until(lambda: store.poses.count(run.id) >= 14, "a whole pass")
     first.close()
     kept = [stored.pose for stored in store.poses.of(run.id)]
     assert first.run(run.id).status == "interrupted"
@@ -120,8 +120,10 @@ def test_a_pass_in_which_the_board_was_reset_is_turned_anew(
     rig = make_rig(time_scale=1.0, imu=QUIET)
     service = serve(rig)
     run = begin(service, SWEEP)
-    until(lambda: len(store.poses.of(run.id)) == 1 and rig.moves(), "the first pass", 60)
+    until_stored(store, run, 1)
+    until(rig.moves, "the first pass", 60)
     until(lambda: rig.table_deg(rig.now_s) > 0, "its middle", 60)
+    assert store.poses.count(run.id) == 1
     rig.simulated.board.reset()
     ended = service.wait(run.id, 120)
     assert (ended.status, ended.error) == ("completed", None)
@@ -136,7 +138,7 @@ def test_a_sweep_ends_after_the_pass_that_is_good_enough_and_pauses_between_pass
     service = serve(bench)
     chosen = SWEEP.model_copy(update={"sweeps": 6, "until": Plan(until={"bias_std_deg": 0.004}).until})
     run = begin(service, Plan.model_validate(chosen.model_dump()))
-    until(lambda: len(store.poses.of(run.id)) >= 1, "the first dwell")
+    until(lambda: store.poses.count(run.id) >= 1, "the first dwell")
     service.pause(run.id)
     until(lambda: service.run(run.id).status == "paused", "pause", 60)
     assert len(store.poses.of(run.id)) in (1, 14)
@@ -177,7 +179,8 @@ def stall(rig: TruthRig, monkeypatch: pytest.MonkeyPatch, every_s: float = math.
 
 def in_the_midst_of_a_pass(rig: TruthRig, store: Store, run: Run, n_poses: int) -> None:
     """Until so many poses are stored and the table is about half-way to the other end."""
-    until(lambda: len(store.poses.of(run.id)) >= n_poses and rig.moves(), "pass", 120)
+    until_stored(store, run, n_poses, 120)
+    until(rig.moves, "pass", 60)
     until(lambda: abs(rig.table_deg(rig.now_s)) < 3, "its middle", 60)
 
 

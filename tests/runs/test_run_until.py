@@ -28,7 +28,7 @@ def test_a_run_ends_once_it_is_good_enough_and_everything_follows_from_the_same_
 ) -> None:
     first = serve(bench)
     run = begin(first, PLAN)
-    until(lambda: len(store.poses.of(run.id)) >= 3, "3 poses")
+    until(lambda: store.poses.count(run.id) >= 3, "3 poses")
     first.close()
     again = serve(bench)
     again.resume(run.id)

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from simulated_packets import Packet, decode
 
 from calrig.simulator.bench import Bench
-from calrig.simulator.boards.calrig import Board
-from calrig.simulator.boards.calrig.packets import sample_packets
+from calrig.simulator.board import Board, sample_packets
 from calrig.simulator.config import SimulatorSettings
 
 

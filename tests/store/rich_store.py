@@ -1,4 +1,4 @@
-"""A store with something in every table that a service fills."""
+"""Stores with a run in them, and with something in every table that a service fills."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 from empty_store import lay_empty_store
-from filled_store import block
 from sqlalchemy import create_engine
 from support import imported, serving
 
 from calrig.calibration.poses import Pose
-from calrig.store import AcceptedEffect, Store
+from calrig.store import AcceptedEffect, SampleBlock, Store
+from calrig.store.certificates import IssuedCertificate
 from calrig.store.raw_rows import tables
 from calrig.store.solved import Basis, Solved
 from calrig.store.units import CalibrationItem
@@ -63,6 +65,7 @@ def fill(path: Path) -> str:
         solution = store.solutions.save(SOLVED, by="ada")
         store.stage_maps.put_in_force("r", solution.id, SOLVED.stage_map, who="ada")
         store.studies.save("noise", "Prüfling 7.csv", {"report": {}, "figures": [1e-300]}, who="ada")
+        _certify(store)
         store.users.add("proxied", "viewer", with_token=False)
         _, token = store.users.add("ada", "admin")
     assert token is not None
@@ -92,6 +95,30 @@ def _measure(store: Store) -> None:
     store.positions.save("other", None)
 
 
+def _certify(store: Store) -> None:
+    """Issue a certificate, and the one that corrects it, whose number comes first in the table."""
+    before: str | None = None
+    (revision, *_) = store.revisions.of("A-3")
+    for number, pdf, dcc in (("0001-B", None, b"<dcc/>"), ("0001-A", b"%PDF\0", b"<dcc>\xc3\xa4</dcc>")):
+        seq, head = store.trail.head()
+        forms = {"pdf": pdf, "dcc": dcc, "json": revision.text.encode()}
+        issued = IssuedCertificate(
+            number=number,
+            unit="A-3",
+            revision=revision.revision,
+            issued_at=datetime.now(UTC),
+            issued_by="ada",
+            replaces=before,
+            reason=before and "größer als erwartet",
+            settings={"name": "Prüfstelle"},
+            sha256={form: content and sha256(content).hexdigest() for form, content in forms.items()},
+            trail_seq=seq,
+            trail_sha256=head,
+        )
+        store.certificates.add(issued, pdf, dcc)
+        before = number
+
+
 def _amend(client: httpx.Client) -> None:
     def asked(method: str, path: str, **body: Any) -> None:
         client.request(method, path, json=body).raise_for_status()
@@ -117,3 +144,24 @@ def rows_in(url: str) -> dict[str, int]:
         counted = {t.name: connection.execute(t.select()).all() for t in tables()}
     engine.dispose()
     return {name: len(rows) for name, rows in counted.items() if rows}
+
+
+def block(index: int, n: int = 500) -> SampleBlock:
+    noise = np.random.default_rng(index)
+    return SampleBlock(
+        index, "dwell", np.arange(n) / 200, noise.normal(size=(n, 3)), np.ones((n, 3)), np.full(n, 24.0)
+    )
+
+
+def filled(url: str, result: dict[str, Any] | None = None, poses: int = 20) -> str:
+    """A run with poses, samples and events; its id."""
+    lay_empty_store(Path(url.removeprefix("sqlite:///")))
+    with Store.open(url, writer="test") as store:
+        run = store.runs.create(unit="A", rig="r", plan={"step_deg": 5}, status="running", provenance={})
+        for k in range(poses):
+            pose = Pose(float(k), k + 0.1 * (k % 3), temperature_c=20 + k / 7, covariates={"humidity": k / 3})
+            event = ("pose", {"index": k, "reading_deg": k / 7})
+            done = {"poses_done": k + 1, "poses_total": poses, "fraction": k / poses, "remaining_s": None}
+            store.poses.add(run.id, k, pose, [block(k)], [event], progress=done)
+        store.runs.update(run.id, status="completed", result=result)
+    return run.id

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from filled_store import filled
+from rich_store import filled
 from test_store_open import python
 
 from calrig.store import Store, StoreDamagedError, StoreError
@@ -58,7 +58,7 @@ def same(name: str, answer: Any, truth: Any) -> bool:
 def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
     url, database, result, tmp_path
 ):
-    run_id = filled(url, result, poses=30)
+    run_id = filled(url, result, poses=40)
     with Store.open(url, writer=None) as store:
         truth = everything(store, run_id)
     sound = database.read_bytes()

@@ -1,4 +1,4 @@
-"""Runs, their states and events, and what comparisons make of them."""
+"""Runs, their states and events, what comparisons make of them, and how they are found."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from uuid import UUID
 
 import pytest
 from dated_runs import gave, lay
+from sqlalchemy import create_engine, text
 
 from calrig.calibration.poses import Pose
 from calrig.model.run import Progress
 from calrig.run_ids import new_run_id
 from calrig.store import AcceptedEffect, NotFound, Store, StoreError
 from calrig.store.errors import Refused
+from calrig.store.raw_rows import TEXTS, tables
+from calrig.store.runs import Sought
 
 NOBODY = "00000000-0000-4000-8000-000000000000"
 """A UUID that no run has."""
@@ -321,3 +324,80 @@ def test_where_a_stage_was_left_is_there_for_the_next_process(url):
         assert store.positions.of("other").stage_deg is None
         store.positions.save("bench", None)
         assert store.positions.of("bench").stage_deg is None
+
+
+@pytest.fixture
+def runs(store):
+    """Ids by the name of the run."""
+
+    def make(name: str, **more):
+        given = {"unit": name, "rig": "r", "plan": {"kind": "calibration"}, "status": "completed", **more}
+        return store.runs.create(provenance={}, **given).id
+
+    first = make("AS-0042", note="Gehäuse 100% dicht", plan={"kind": "verification"})
+    return {
+        "first": first,
+        "second": make("as_0042"),
+        "follow-up": make("B", follows=first),
+        "static": make("C", plan={"kind": "static"}, rig="other"),
+        "import": make("D", plan=None, rig=None),
+    }
+
+
+@pytest.mark.parametrize(
+    ("sought", "names"),
+    [
+        (Sought(text="S-00"), ["first"]),
+        (Sought(text="As"), ["second", "first"]),
+        (Sought(text="s_0"), ["second"]),  # _ is text
+        (Sought(text="0%"), ["first"]),  # and so is %
+        (Sought(text="GEHÄUSE"), ["first"]),
+        (Sought(text="as", rig="other"), []),
+        (Sought(text="as", status="completed", kind="verification"), ["first"]),
+        (Sought(kind="calibration"), ["second"]),
+        (Sought(kind="static"), ["static"]),
+        (Sought(kind="import"), ["import"]),
+        (Sought(kind="follow-up"), ["follow-up"]),
+    ],
+)
+def test_runs_are_found_by_what_they_say_and_are(store, runs, sought, names):
+    found, cursor = store.runs.search(sought)
+    assert ([run.id for run in found], cursor) == ([runs[name] for name in names], None)
+
+
+def test_runs_are_found_by_when_they_were_made_and_by_what_they_follow(store, runs):
+    second = store.runs.get(runs["second"]).created_at
+    within = Sought(since=second, before=second + timedelta(microseconds=1))
+    assert [run.id for run in store.runs.search(within)[0]] == [runs["second"]]
+    assert [run.id for run in store.runs.search(Sought(before=second))[0]] == [runs["first"]]
+    followed = store.runs.search(Sought(follows=runs["first"]))[0]
+    assert [run.id for run in followed] == [runs["follow-up"]]
+
+
+def test_what_is_sought_goes_on_page_by_page(store, runs):
+    page, cursor = store.runs.search(Sought(text="as"), limit=1)
+    rest, last = store.runs.search(Sought(text="as"), limit=1, cursor=cursor)
+    assert ([run.id for run in (*page, *rest)], last) == ([runs["second"], runs["first"]], None)
+
+
+SERIALS = ["B", "a-1", "A 2", "Ä-1", "A-1", "_1", "a1", "z", "é", "温度", "10", "9"]
+
+
+def test_names_come_in_the_order_of_their_bytes(store: Store) -> None:
+    for serial in SERIALS:
+        store.runs.create(unit=serial, rig=serial, plan=None, status="completed", provenance={})
+        store.check_standards.name(serial, serial, 7.0)
+    in_order = sorted(SERIALS, key=str.encode)
+    assert [unit.serial for unit in store.units.all()] == in_order
+    assert [check.rig for check in store.check_standards.all()] == in_order
+
+
+def test_no_text_is_ordered_by_a_language(new_database) -> None:
+    """A server's databases are made for one, mostly; that of these tests is for none."""
+    engine = create_engine(new_database())
+    known = "SELECT table_name, column_name FROM information_schema.columns WHERE collation_name = 'C'"
+    with engine.connect() as connection:
+        by_bytes = {tuple(row) for row in connection.execute(text(known))}
+    engine.dispose()
+    ours = {(t.name, c.name) for t in tables() for c in t.columns if isinstance(c.type, TEXTS)}
+    assert ours <= by_bytes

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from filled_store import block, filled
+from rich_store import block, filled
 from test_store_migrations import later_program
 
 from calrig.calibration.poses import Pose

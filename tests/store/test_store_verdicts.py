@@ -1,4 +1,4 @@
-"""Runs found by their verdict: always those that judging one by one gives, whatever was changed before."""
+"""Limits in their order, and runs found by their verdict: always those that judging one by one gives."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_whatever_a_verdict_follows_from_is_followed(store, new_run):
         (lambda: store.effects.accept(run_id, [accepted]), {"pass", "more_than_noise"}),
         (lambda: store.runs.update(run_id, plan={"kind": "verification"}), {"pass", "noise"}),
         (lambda: store.limits.replace([LIMITS[0]], who=None), {"pass", "noise"}),
-        (lambda: store.runs.set_result(run_id, result(0.5)), {"fail", "more_than_noise"}),
+        (lambda: store.runs.set_result(run_id, result(0.5)), {"conditional_fail", "more_than_noise"}),
         (lambda: store.amendments.move({run_id: near}, "B", "a wrong label"), {"no_limits", "noise"}),
         (lambda: store.runs.set_result(run_id, None), set()),
     ):
@@ -141,3 +141,35 @@ def test_a_search_by_verdict_finds_what_judging_one_by_one_does(store, new_run, 
 def said(run):
     """The verdicts that a run is found by."""
     return set() if run.verdict is None else {run.verdict.answer, run.verdict.left} - {None}
+
+
+FLIGHT = Limit(name="flight", units="AS-*", max_error_deg=0.3, rule="guarded")
+ALL = Limit(name="all", bias_deg=(-1.0, 1.0), scale=(0.99, 1.01))
+
+
+def test_limits_come_back_in_their_order(store):
+    store.limits.replace([FLIGHT, ALL], who="ada")
+    assert store.limits.all() == [FLIGHT, ALL]
+    store.limits.replace([ALL, FLIGHT], who="ben")
+    assert store.limits.all() == [ALL, FLIGHT]
+
+
+def test_the_trail_says_who_changed_which_and_nothing_where_nothing_changed(store):
+    store.limits.replace([FLIGHT], who="ada")
+    store.limits.replace([FLIGHT], who="ben")
+    (entry,) = store.trail.entries(what=["limits_changed"])
+    assert (entry.act.who, entry.act.detail) == (
+        "ada",
+        {"before": [], "now": [FLIGHT.model_dump(mode="json")]},
+    )
+    assert store.trail.broken_link() is None
+
+
+def test_a_run_with_a_result_has_the_limit_that_matches_its_unit_now(store, new_run, result):
+    store.limits.replace([FLIGHT, ALL], who=None)
+    ended = new_run(unit="AS-1", status="completed", result=result)
+    assert (ended.limit, new_run(unit="AS-1").limit) == (FLIGHT, None)
+    assert new_run(unit="B", status="completed", result=result).limit == ALL
+    store.limits.replace([], who=None)
+    runs, _ = store.runs.page()
+    assert [run.limit for run in runs] == [None] * 3

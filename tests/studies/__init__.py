@@ -2,6 +2,7 @@
 
 blind      one effect a run, named or not: the diagnosis against causes that it does not share
 charts     false alarms and delays of the control charts
+correlated_poses  what standard errors cover if dwells share noise
 demo       the demo rig, diagnosed
 fleet      what a screen of many runs takes, and what it shows
 joint      the solution of stage and units together against its bound

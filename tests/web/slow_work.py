@@ -18,12 +18,12 @@ LET_GO = Path(os.environ.setdefault("CALRIG_TEST_LET_GO", _OF_THESE_TESTS))
 
 
 def slow_trace(*poses: Any, progress: Callable[[float], None], **asked: Any) -> dict[str, Any]:
-    """As `calrig.calibration.diagnosis.tracing.trace`, once LET_GO is there."""
-    from calrig.calibration.diagnosis.tracing import trace
+    """As `calrig.analysis.diagnoses.traced`, once LET_GO is there."""
+    from calrig.analysis.diagnoses import traced
 
     progress(0.4)
     held()
-    return trace(*poses, **asked)
+    return traced(*poses, **asked)
 
 
 def slow_study(*_: Any, progress: Callable[[float], None], **__: Any) -> None:

@@ -26,8 +26,41 @@ def test_how_a_unit_came_is_said_and_its_certificate_handed_out(page, client, go
         ["customer"],
     )
     with page.expect_download() as download:
-        page.get_by_role("button", name="Certificate (PDF)").click()
+        page.get_by_role("button", name="Preview certificate (PDF)").click()
     assert download.value.path().read_bytes().startswith(b"%PDF-")
+
+
+def test_a_certificate_is_issued_listed_and_corrected(page, client, go, expect):
+    imported(client, "CERT-2")
+    go("#/units/CERT-2")
+    expect(page.locator("#revisions-table")).not_to_contain_text("[object")
+    page.get_by_role("button", name="Issue certificate…").click()
+    page.get_by_test_id("confirm").click()
+    rows = page.locator("#certificates-table tbody tr")
+    expect(rows).to_have_count(1)
+    (first,) = client.get("/api/certificates", params={"unit": "CERT-2"}).json()
+    expect(rows.first).to_contain_text(first["number"])
+    with page.expect_download() as download:
+        rows.first.get_by_role("link", name="PDF").click()
+    assert download.value.path().read_bytes() == client.get(f"/api/certificates/{first['number']}").content
+    rows.first.get_by_role("button", name="Correct…").click()
+    page.get_by_label("Reason").fill("the customer's name")
+    page.get_by_test_id("confirm").click()
+    expect(rows).to_have_count(2)
+    expect(rows.first).to_contain_text(f"Replaces {first['number']}: the customer's name")
+    expect(rows.last).to_contain_text("Replaced by")
+
+    go("#/units")
+    number = page.get_by_label("Certificate number")
+    number.fill(first["number"][-6:].lower())
+    number.press("Enter")
+    found = page.locator("#certificates-found tbody tr")
+    expect(found).to_have_count(1)
+    expect(found).to_contain_text(first["number"])
+    expect(found).to_contain_text("CERT-2")
+    number.fill("%")
+    number.press("Enter")
+    expect(page.get_by_text("No certificate has this number")).to_be_visible()
 
 
 def test_on_paper_there_are_no_controls_and_nothing_is_cut(page, client, go, expect):

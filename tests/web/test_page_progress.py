@@ -23,7 +23,7 @@ pytestmark = pytest.mark.browser
 def slow(monkeypatch):
     """What goes on until LET_GO is there, and nobody waits for."""
     monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
-    monkeypatch.setattr(diagnoses, "trace", slow_trace)
+    monkeypatch.setattr(diagnoses, "traced", slow_trace)
     monkeypatch.setattr(noise, "study_file", slow_study)
     monkeypatch.setattr(solve, "answer", slow_design)
     LET_GO.unlink(missing_ok=True)

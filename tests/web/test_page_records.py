@@ -104,6 +104,23 @@ def test_a_measured_file_becomes_a_run_whose_scale_cannot_be_known(page, client,
     expect(page.locator("#poses-title")).to_have_text(f"Poses ({n_poses})")
 
 
+def test_an_import_with_a_stated_reference_has_an_uncertainty_and_a_revision(page, client, go, expect):
+    go("#/import")
+    rows = "".join(f"{x},{0.8 + 0.998 * x + 0.01 * (-1) ** x},{0.01}\n" for x in range(-45, 46, 9))
+    content = f"target_deg,reading_deg,reading_stderr_deg\n{rows}".encode()
+    page.set_input_files("#file", {"name": "own.csv", "mimeType": "text/csv", "buffer": content})
+    page.fill("#unit", "STATED")
+    page.get_by_label("Reference uncertainty (°)").fill("0.05")
+    page.get_by_label("Kind of reference error").select_option("common")
+    page.click("#import")
+    expect(page.locator("#status")).to_have_text("completed")
+    run = client.get("/api/runs?unit=STATED").json()["items"][0]
+    reference = run["result"]["reference"]
+    assert (reference["std_deg"], reference["kind"]) == (0.05, "common")
+    document = client.get("/api/units/STATED/calibration?revision=latest").json()
+    assert document["expanded_uncertainty_deg"] > 0.05
+
+
 def test_a_bad_file_is_refused_with_line_and_column_and_nothing_is_stored(page, client, go, expect, forgiven):
     forgiven.append(REFUSED_422)
     go("#/import")

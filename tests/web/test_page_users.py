@@ -1,11 +1,13 @@
-"""Users on the page: an admin adds one, who logs in with the token and is offered what their role may."""
+"""The page of a service that asks for a token: logging in and out, and users whom an admin adds."""
 
 from __future__ import annotations
 
+import httpx
 import pytest
-from support import serving
+from support import LONG, serving
 
 from calrig.api.access import Access
+from calrig.run_ids import short_name
 
 from .page_help import imported
 
@@ -22,7 +24,7 @@ def client(service):
         yield client
 
 
-def log_in(page, token):
+def log_in(page, token=TOKEN):
     page.fill("#token", token)
     page.keyboard.press("Enter")
 
@@ -80,3 +82,52 @@ def test_a_role_is_changed_and_a_user_disabled(page, client, go, expect, forgive
     page.get_by_label("Role of root").select_option("viewer")
     expect(page.locator("#error-root")).to_contain_text("root is the last admin")
     expect(page.get_by_label("Role of root")).to_have_value("admin")
+
+
+def test_a_person_logs_in_works_and_logs_out(page, go, expect, forgiven):
+    forgiven.append("status of 401")
+    go("#/units")
+    expect(page.locator("h1")).to_have_text("Log in")
+    expect(page.locator("button.stop")).to_have_count(0)
+    log_in(page, "not the right one")
+    expect(page.locator("#login-error")).to_contain_text("this token")
+    log_in(page)
+    expect(page.locator("h1")).to_have_text("Units")
+    expect(page.locator("button.stop")).to_be_visible()
+    assert page.evaluate("document.cookie") == ""
+    assert TOKEN not in page.evaluate("JSON.stringify([{...localStorage}, {...sessionStorage}])")
+
+    page.reload()
+    expect(page.locator("h1")).to_have_text("Units")
+    page.click("#log-out")
+    expect(page.locator("h1")).to_have_text("Log in")
+    page.reload()
+    expect(page.locator("h1")).to_have_text("Log in")
+
+
+def test_a_session_that_ends_while_a_run_is_watched_asks_again_and_the_run_is_there(
+    page, client, go, expect, forgiven
+):
+    forgiven.append("status of 401")
+    run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
+    go(f"#/runs/{run['id']}")
+    log_in(page)
+    expect(page.locator("#poses-table tbody tr").nth(1)).to_be_visible()
+    cookies = {cookie["name"]: cookie["value"] for cookie in page.context.cookies()}
+    httpx.post(client.base_url.join("/api/logout"), cookies=cookies).raise_for_status()
+
+    expect(page.locator("h1")).to_have_text("Log in")
+    log_in(page)
+    expect(page.locator("h1")).to_contain_text(f"Run {short_name(run['id'])}")
+    expect(page.locator("#status")).to_have_text("running")
+    page.click("button.stop")
+    expect(page.locator("#status")).to_have_text("aborted")
+
+
+def test_what_is_taken_home_comes_with_the_session(page, client, go):
+    run = imported(client, "A")
+    go(f"#/runs/{run['id']}")
+    log_in(page)
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Poses (CSV)").click()
+    assert download.value.path().read_text().startswith("target_deg,reading_deg")

@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 from calrig.calibration.diagnosis.experiment_design import FollowUp, SequentialTest, design
+from calrig.calibration.diagnosis.joint_effects import (
+    Growth,
+    JointEffects,
+    RunOfEffects,
+    fit_together,
+    held_out_growth,
+)
 from calrig.calibration.diagnosis.report import (
     DrawnResiduals,
     PartialResidual,
@@ -16,11 +23,16 @@ __all__ = [
     "DrawnResiduals",
     "Findings",
     "FollowUp",
+    "Growth",
+    "JointEffects",
     "PartialResidual",
+    "RunOfEffects",
     "SequentialTest",
     "design",
     "diagnose",
     "drawn_residuals",
+    "fit_together",
+    "held_out_growth",
     "partial_residuals",
     "trace",
 ]

@@ -193,7 +193,13 @@ def fitted_beside(
         bent = [
             k
             for k, (criterion, _, residuals) in zip(bent, fitted, strict=True)
-            if _bends_yet(curves[k], found[k][1], residuals, criterion + penalties[k] - least)
+            if _bends_yet(
+                curves[k],
+                found[k][1],
+                residuals,
+                # linear, a delay leaves what it does to the effects that it moves: it is not behind yet
+                0.0 if _is_delay(shortlist[k]) else criterion + penalties[k] - least,
+            )
         ]
         if not bent:
             break
@@ -201,6 +207,10 @@ def fitted_beside(
         linear = fit(r, model_columns(r, [*accepted, shortlist[k]]))
         found[k] = linear.criterion, linear.beta
     return [(criterion, beta[curve.own[-1]]) for (criterion, beta), curve in zip(found, curves, strict=True)]
+
+
+def _is_delay(candidate: Candidate) -> bool:
+    return any(member.effect.late_by_deg is not None for member in candidate.members)
 
 
 def _fitted_straightened(

@@ -59,10 +59,9 @@ class Candidate:
         kind = self.name if self.named else f"{UNNAMED} {self.covariate}"
         label = f"{kind}{in_words(self.changed)}"
         before = 0 if self.beside is None else self.beside.columns.shape[2]
-        own = self.columns[:, :, before:]
-        parameters = int(own.shape[2]) + (self.shape.place_cost if self.shape.scanned else 0)
+        parameters = self.columns.shape[2] - before + (self.shape.place_cost if self.shape.scanned else 0)
         parameters -= self.shape.replaces is not None
-        if self.changed is not None and not _is_level(own):
+        if self.changed is not None and not _is_level(self.columns[:, :, before:]):
             parameters += CHOICE_OF_RUNS
         if self.beside is not None:
             kind, label = f"{self.beside.kind} + {kind}", f"{self.beside.label} + {label}"
@@ -170,6 +169,8 @@ def shares_at(r: Responses, candidate: Candidate, theta_deg: FloatArray) -> Floa
 
 def at_its_elevations(r: Responses, candidate: Candidate) -> Candidate:
     """Return a candidate as readings have it that are late: at the elevations that they stand for."""
+    if candidate.beside is None and candidate.effect.on_vector_g is not None:
+        return rebuilt(candidate, r) or candidate
     beside = candidate.beside and at_its_elevations(r, candidate.beside)
     columns = candidate.columns
     before = 0 if beside is None else beside.columns.shape[2]
@@ -180,7 +181,9 @@ def at_its_elevations(r: Responses, candidate: Candidate) -> Candidate:
     if candidate.shape.at_elevation is not None:
         late = [r.channels.index(name) for name in (READING, ANGLE) if name in r.channels]
         columns[:, late, before:] = shares_at(r, candidate, r.theta_deg)[:, None]
-    return candidate if columns is candidate.columns else replace(candidate, columns=columns, beside=beside)
+    if columns is candidate.columns:
+        return candidate
+    return Candidate(candidate.effect, candidate.shape, columns, beside)
 
 
 def candidates_of(r: Responses) -> list[Candidate]:

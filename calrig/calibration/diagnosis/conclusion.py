@@ -8,11 +8,12 @@ called noise only if the pure error allows it. The verdict on a run's result is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
+from calrig.calibration.diagnosis.lack_of_fit import LEVEL, SEVERAL
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.regression.effect import ELEVATION
 from calrig.calibration.uncertainty.verdict import SAME_EFFECT, between_runs, not_repeated_better
@@ -108,6 +109,8 @@ def _answer(diagnosis: Document) -> str:
 
 
 def _nothing(diagnosis: Document) -> str:
+    from scipy.special import fdtri
+
     noise = diagnosis["noise"]
     if noise.get("pure_error_deg") is None:
         return "No effect found. How large the noise is, neither dwells nor revisited poses tell"
@@ -117,6 +120,14 @@ def _nothing(diagnosis: Document) -> str:
         times = f"{noise['std_deg'] / noise['floor_deg']:.1f} times the noise within a dwell"
         return (
             f"No effect found: the residual is what poses repeat to, {angle_text(noise['std_deg'])}, {times}"
+        )
+    # The test of lack of fit gives tails less weight: a few poses that are far off are not noise either.
+    pure_deg, left_deg = noise["pure_error_deg"], diagnosis["final"]["fit_rms_deg"]
+    freedom = max(diagnosis["n_poses"] - 2, 1), noise["lack_of_fit"]["freedom"][1]
+    if left_deg > pure_deg * math.sqrt(fdtri(*freedom, 1.0 - LEVEL)):
+        return (
+            f"No effect found, and yet the residual of all poses, {angle_text(left_deg)}, is "
+            f"{left_deg / pure_deg:.1f} times the pure error: a few poses are far off"
         )
     return "No effect found: the residual is consistent with noise"
 

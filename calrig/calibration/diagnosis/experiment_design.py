@@ -18,7 +18,7 @@ from calrig.calibration.diagnosis.candidates import Candidate, model_columns, re
 from calrig.calibration.diagnosis.ranking import SAME, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.effects import EFFECTS, covariate_of
-from calrig.calibration.poses import Pose
+from calrig.calibration.poses import Pose, without_unused
 from calrig.calibration.progress import Progress, unheard
 from calrig.calibration.regression.effect import TEMPERATURE
 from calrig.calibration.regression.noise_model import NoiseModel, fit, stacked
@@ -129,6 +129,8 @@ def design(
     spread = [round(float(p), 3) for p in np.linspace(*limits_deg, MOST_POSES // 2 + 2)[1:-1]]
     waits_s = _waits(runs, suspects)
     shuffled = [round(float(p), 3) for p in rng.permutation(np.linspace(*limits_deg, 2 * MOST_POSES))]
+    if not trial.has_channels_of(findings.responses, shuffled):
+        return "no run is designed that would separate the suspects: a witness repeats the elevation exactly"
     trial.keep_distinguishable([(shuffled, 0.0), *((spread * 2, wait_s) for wait_s in waits_s)])
     chosen = _greedy(trial, limits_deg, rng, progress)
     separation, sweeps, wait_s = trial.separation(chosen), 1, 0.0
@@ -161,7 +163,7 @@ class _Trial:
         others: Sequence[Candidate],
         suspects: Sequence[Candidate],
     ) -> None:
-        self._runs = [list(run) for run in runs]
+        self._runs = without_unused(runs)
         self._request = findings.responses.request
         self._noise: NoiseModel = findings.fitted.noise
         self._others, self._suspects = others, suspects
@@ -200,11 +202,16 @@ class _Trial:
         within = {k for pair in self.pairs for k in pair} or range(len(self._suspects))
         return [self._suspects[k] for k in sorted(within)]
 
+    def has_channels_of(self, r: Responses, elevations_deg: Sequence[float]) -> bool:
+        """Return whether further poses leave the channels as they are: they bring in one that was exact."""
+        return self._with(elevations_deg, 0.0).channels == r.channels
+
+    def _with(self, elevations_deg: Sequence[float], wait_s: float) -> Responses:
+        return responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)
+
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
         """Of each pair, with the one true that is the harder to tell."""
-        r = with_free_levels(
-            responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)
-        )
+        r = with_free_levels(self._with(elevations_deg, wait_s))
         others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
         suspects = [predicted(s, r) for s in self._suspects]
         found: dict[tuple[int, int], float] = {}
@@ -315,7 +322,7 @@ class SequentialTest:
     """
 
     def __init__(self, runs: Sequence[Sequence[Pose]], findings: Findings) -> None:
-        self._runs = [list(run) for run in runs]
+        self._runs = without_unused(runs)
         self._request = findings.responses.request
         found = ambiguous_of(findings)
         self._suspects = () if found is None else (found.candidate, *found.rivals)

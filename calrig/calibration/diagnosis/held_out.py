@@ -96,9 +96,19 @@ def cross_validate(
             final[test] = base[test]
             continue
         # a fold's model in all poses; a refined period exists in the fold's alone
-        whole = [rebuilt(f.candidate, r) or f.candidate for f in findings.found]
-        final[test] = errors_deg(*linear_about(r, whole, findings.fitted.beta), findings.fitted.beta, test)
+        whole = [_in_all_poses(f.candidate, r, candidates) for f in findings.found]
+        if None in whole:
+            final[test] = base[test]
+            continue
+        model = linear_about(r, [c for c in whole if c is not None], findings.fitted.beta)
+        final[test] = errors_deg(*model, findings.fitted.beta, test)
     return CrossValidation(base, final, folds)
+
+
+def _in_all_poses(found: Candidate, r: Responses, candidates: Sequence[Candidate]) -> Candidate | None:
+    """Return an effect of a fold in all poses: built anew, or as an arc with outliers has offered it."""
+    offered = (c for c in candidates if (c.label, c.shape.form) == (found.label, found.shape.form))
+    return rebuilt(found, r) or next((c for c in offered if c.shape.at == found.shape.at), None)
 
 
 def without_harm(
@@ -135,19 +145,20 @@ def without_harm(
     return with_effects(findings, found), again, [warning]
 
 
-def folds_of(r: Responses) -> npt.NDArray[np.intp]:
+def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:
     """Return (n,) fold of each pose, dealt out in turn along each approach's elevations.
 
     So every fold has both approaches, all elevations, and poses from early and late. Evenly spaced poses are
     dealt in a random order, the same for equally many: if each fourth of them were left out, a wave of twice
-    the spacing would look like one of four times the spacing.
+    the spacing would look like one of four times the spacing. Each numbered deal has another random order.
     """
     approach = np.zeros(len(r)) if r.approach is None else r.approach
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
     fold = np.empty(len(r), dtype=np.intp)
     rounds = np.tile(np.arange(FOLDS), (-(-len(r) // FOLDS), 1))
-    if spacing_deg(r.theta_deg) is not None:
-        rounds = np.random.default_rng(len(r)).permuted(rounds, axis=1)
+    if deal is not None or spacing_deg(r.theta_deg) is not None:
+        rng = np.random.default_rng(len(r) if deal is None else [len(r), deal])
+        rounds = rng.permuted(rounds, axis=1)
     fold[order] = rounds.ravel()[: len(r)]
     return fold
 

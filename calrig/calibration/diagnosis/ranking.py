@@ -25,6 +25,7 @@ from calrig.calibration.diagnosis.sensor_model import (
     fitted_model,
     is_shift_seen,
 )
+from calrig.calibration.effects.stage_periodic import spacing_deg
 from calrig.calibration.regression.effect import Shape
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
@@ -39,6 +40,8 @@ must pass the gate beside the first: on trial by this margin alone it was wrong 
 """
 INDISTINCT = 0.5
 """Of −2 log likelihood: periods that evenly spaced poses cannot tell apart at all, whatever the noise."""
+ALIAS_SHARE = 0.6
+"""Of what the best of several aliases gains, beside a delay that alone tells them apart: a rival gains it."""
 COMPANION_MARGIN = 3.0
 """Of the criterion, by which an effect must pay for the one companion that it is declared to have: with the
 penalty a likelihood ratio beyond 7, which one parameter reaches in noise in less than 1 of 100. As a rival of
@@ -138,8 +141,9 @@ def named(
     staying = [c for c in named if incumbent is not None and _is_same_term(c, incumbent)]
     first = [c for c in named if c.shape.claimed_first and named[0].name in c.shape.alike]
     claimed = (staying or first or named or near)[0]
-    told = {"latency", "backlash"}.issuperset(claimed.shape.alike) and is_shift_seen(r, accepted, claimed)
-    alike = () if told else claimed.shape.alike
+    alike = claimed.shape.alike
+    if alike and {"latency", "backlash"}.issuperset(alike) and is_shift_seen(r, accepted, claimed):
+        alike = ()
     rivals = _rivals(ranked, claimed, alike) if claimed.named else ()
     elsewhere: tuple[Candidate, ...] = ()
     if claimed.effect.place and claimed.beside is None:
@@ -227,6 +231,12 @@ def _alike(
     likely = {c for criterion, c in penalised if criterion - likeliest < MARGIN}
     if not goes_round(r):  # there an order of the turn is no likelier than what is the same thing
         likely.update(c for criterion, c in found if criterion - least < INDISTINCT)
+    model = fitted_model(r, accepted)
+    is_parted_by_delay = model.responses.is_delayed and spacing_deg(r.theta_deg) is not None
+    if is_parted_by_delay and least < best.criterion - MARGIN:
+        # an alias won that was not scanned for: two waves together look like one at another place
+        most = model.fitted.criterion - ALIAS_SHARE * (model.fitted.criterion - least)
+        likely.update(c for criterion, c in found if criterion <= most)
     near = [c for _, c in found if c in likely]
     near = sorted(near, key=lambda c: (c.shape.scanned, -c.shape.at[effect.place]))
     return near, tuple(c for c in equal if c is not near[0])

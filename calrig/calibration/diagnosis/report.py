@@ -203,6 +203,8 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
             said.append(f"indistinguishable from {names} by these poses: {apart}")
         else:
             said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
+            if not witnesses and candidate.effect.origin == "stage" and candidate.covariate == "target_deg":
+                said.append("no witness was read: an error of the unit itself of this shape looks the same")
     return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]
 
 
@@ -275,7 +277,7 @@ def drawn_residuals(
         DiagnosisError: the poses cannot show an effect (any more).
     """
     r = responses_of(runs, run_ids, request)
-    chosen = _chosen(r, [_forms(r, effect) for effect in effects])
+    chosen = likeliest_forms(r, [_forms(r, effect) for effect in effects])
     for _ in range(most_outliers(len(r))):
         model = fitted_model(r, chosen)
         if (apart := outlier(model.responses, model.accepted)) is not None:
@@ -303,7 +305,7 @@ def fitted_scale(r: Responses, beta: FloatArray) -> float:
     return 1.0 + float(beta[names.index(SCALE)]) / SCALE_UNIT_DEG if SCALE in names else 1.0
 
 
-def _chosen(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:
+def likeliest_forms(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:
     """Of each effect the form with the best likelihood, penalised as the search does, beside the others."""
     chosen = [options[0] for options in forms]
     bic_penalty = math.log(len(r))

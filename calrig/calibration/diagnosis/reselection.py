@@ -8,7 +8,7 @@ explained since.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -119,12 +119,19 @@ def is_on_trial(candidate: Candidate) -> bool:
 
 
 FREEDOM, ROUNDS = 3, 3
+MOST_WORSE = 2.0 * MARGIN
+"""Of the criterion, by which another name for an effect may leave a model with a delay worse: a name within
+`MARGIN` of the best is claimed, and some more for the choice among forms."""
 
 
 def offered(
-    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate], refused: set[str]
+    r: Responses,
+    candidates: Sequence[Candidate],
+    accepted: Sequence[Candidate],
+    refused: set[str],
+    wanted: Callable[[Candidate], bool] = lambda _: True,
 ) -> list[Candidate]:
-    """Return the candidates that may enter a model.
+    """Return the candidates that may enter a model, and are wanted.
 
     Excluded are effects that are in it, effects that need one that is not, and candidates that would leave
     the reading hardly a degree of freedom.
@@ -150,7 +157,7 @@ def offered(
         return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
     every = [*candidates, *harmonics_of(r, accepted)]
-    allowed = [c for c in every if c.label not in refused and may_enter(c)]
+    allowed = [c for c in every if c.label not in refused and wanted(c) and may_enter(c)]
     return [at_its_elevations(r, c) for c in allowed] if r.is_delayed else allowed
 
 
@@ -228,13 +235,14 @@ def _against_rivals(
     """Replace an effect by the best of its competitors, with all others in the model."""
     others = _others(found, one)
     model = fitted_model(r, others)
-    rivals = [
-        c
-        for c in offered(model.responses, candidates, others, set())
-        if c.beside is None or c.shape.series or (_brings(c, one) and not is_on_trial(c))
-    ]
-    if one.candidate.shape.series and not curves:  # a curve takes a little from every order of a turn
-        rivals = [c for c in rivals if c.named]
+    # a curve takes a little from every order of a turn
+    names_only = one.candidate.shape.series != "" and not curves
+
+    def competes(c: Candidate) -> bool:
+        is_single = c.beside is None or c.shape.series or (_brings(c, one) and not is_on_trial(c))
+        return bool(is_single) and (c.named or not names_only)
+
+    rivals = offered(model.responses, candidates, others, set(), competes)
     if not rivals:
         return found
     ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)
@@ -244,7 +252,13 @@ def _against_rivals(
         again = named(r, others, rivals, ratios, one.p_value, one.candidate)
     place = next(k for k, f in enumerate(found) if f is one)
     members = [replace(again, candidate=member).at_elevations_of(r) for member in again.candidate.members]
-    return [*found[:place], *members, *found[place + 1 :]]
+    changed = [*found[:place], *members, *found[place + 1 :]]
+    before, after = ([f.candidate for f in some] for some in (found, changed))
+    if not fitted_model(r, before).responses.is_delayed or not _are_possible(r, before):
+        return changed
+    # ranked by fits beside the others, which stay linear where they do not come to rest: a delay bends most
+    is_worse = penalised_criterion(r, after) > penalised_criterion(r, before) + MOST_WORSE
+    return found if is_worse else changed
 
 
 def _leads_far(r: Responses, rivals: Sequence[Candidate], ratios: Float32Array, incumbent: Candidate) -> bool:
@@ -303,16 +317,23 @@ def is_admissible(r: Responses, accepted: Sequence[Candidate]) -> bool:
         r: the responses.
         accepted: the effects of a model.
     """
-    model = fitted_model(r, accepted)
-    columns, fitted, r = model.columns, model.fitted, model.responses
-    own = own_columns(columns, accepted)
-    if not all(c.is_possible(fitted.beta[at]) for c, at in zip(accepted, own, strict=True)):
+    if not _are_possible(r, accepted):
         return False
     if len(accepted) < 2:
         return True
+    model = fitted_model(r, accepted)
+    columns, fitted, r = model.columns, model.fitted, model.responses
+    own = own_columns(columns, accepted)
     condition = _condition(r, columns, fitted, own)
     cancels = condition > LARGEST_CONDITION and _cancel(columns, fitted, own)
     return condition < SAME_THING and not cancels
+
+
+def _are_possible(r: Responses, accepted: Sequence[Candidate]) -> bool:
+    """Return whether each of the effects of a model is physically possible by itself."""
+    model = fitted_model(r, accepted)
+    own = own_columns(model.columns, accepted)
+    return all(c.is_possible(model.fitted.beta[at]) for c, at in zip(accepted, own, strict=True))
 
 
 def _condition(r: Responses, columns: FloatArray, fitted: Fit, own: Sequence[slice]) -> float:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.diagnosis.candidates import Candidate
-from calrig.calibration.regression.noise_model import PRIOR_RHO_STD, NoiseModel, orthonormal
+from calrig.calibration.regression.noise_model import PRIOR_RHO_STD, NoiseModel, Real, orthonormal
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
 
@@ -24,10 +24,20 @@ Float32Array = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class _Base:
-    """The model at one share of the null's correlation: `columns` (J, n, q) orthonormal over all channels."""
+    """The model at one share of the null's correlation: `columns` (J, n, q) orthonormal over all channels.
+
+    Attributes:
+        share: of the correlation.
+        columns: whitened.
+        unwhitened: (J, n, q) what columns that are not whitened are multiplied by for their products with it.
+        products: (J, q, q) within each channel.
+        cost: of the correlation, in −2 log likelihood.
+    """
 
     share: float
     columns: FloatArray
+    unwhitened: FloatArray
+    products: FloatArray
     cost: float
 
 
@@ -35,9 +45,9 @@ class _Base:
 class _Beside:
     """Candidates of one number of columns p, at one share of the null's correlation.
 
-    `columns` (J, p, C, n) are orthonormal over all channels beside the model once what of them lies in its
-    base is taken off: `inside` (q, p·C) are the base's products with them over all channels. Of what is then
-    left `products` (J, C, p, p) are those within each channel.
+    `columns` (J, p, C, n), once whitened, are orthonormal over all channels beside the model when what of
+    them lies in its base is taken off: `inside` (q, p·C) are the base's products with them over all channels.
+    Of what is then left `products` (J, C, p, p) are those within each channel.
     """
 
     columns: Float32Array
@@ -46,15 +56,16 @@ class _Beside:
 
 
 class _Values(NamedTuple):
-    """b sets of whitened responses (J, b, n) at one share, nothing of the base left in them.
+    """b sets of responses at one share, nothing of the base left in them.
 
-    With the base's products with them within each channel (J, b, q), their sums of squares (J, b) with what
-    rounding may add, and −2 log likelihood (b,).
+    `unwhitened` (J, b, n) is what columns that are not whitened are multiplied by for their products with the
+    whitened responses. With the base's products with these within each channel (J, b, q), their sums of
+    squares (J, b) with what rounding may add, and −2 log likelihood (b,).
     """
 
-    white: Float32Array
-    of_base: Float32Array
-    power: Float32Array
+    unwhitened: npt.NDArray[np.floating[Any]]
+    of_base: npt.NDArray[np.floating[Any]]
+    power: npt.NDArray[np.floating[Any]]
     null: FloatArray
 
 
@@ -89,7 +100,10 @@ class Screen:
         rho = noise.rho * share
         following = int((~starts[1:]).sum())
         cost = following * np.log(1.0 - rho**2).sum() + ((rho / PRIOR_RHO_STD) ** 2).sum()
-        return _Base(share, base.reshape(len(model), -1, base.shape[1]), float(cost))
+        columns = base.reshape(len(model), -1, base.shape[1])
+        across = np.swapaxes(columns, 1, 2)
+        unwhitened = np.swapaxes(noise.unwhitened(across, starts, share), 1, 2)
+        return _Base(share, columns, unwhitened, across @ columns, float(cost))
 
     def _stacks(self, width: int) -> Iterator[FloatArray]:
         """Return the candidates of one width, some at a time: their rotated columns (J, C, p, n)."""
@@ -98,54 +112,59 @@ class Screen:
             columns = np.stack([self._candidates[i].columns for i in indices[first : first + at_once]])
             yield self._noise.rotated(np.moveaxis(columns, 3, 1))
 
+    def _turned(self, stack: FloatArray) -> list[_Turned]:
+        """Return what makes candidates of rotated columns (J, C, p, n) orthonormal at each share."""
+        channels, count, width, n = stack.shape
+        along = stack.reshape(channels, -1, n) @ np.concatenate([base.unwhitened for base in self._bases], 2)
+        ends = np.cumsum([base.columns.shape[2] for base in self._bases])[:-1]
+        every = self._noise.gram_of_innovations(stack, self._r.starts, SHARES)
+        return [
+            _turned(whole, inside.reshape(channels, count, width, -1), base.products)
+            for whole, inside, base in zip(every, np.split(along, ends, axis=2), self._bases, strict=True)
+        ]
+
     def _beside(self, width: int) -> Iterator[list[_Beside]]:
         """Return the candidates of one width at each share, some at a time."""
         for stack in self._stacks(width):
-            yield [_beside(self._white(stack, base.share), base.columns) for base in self._bases]
-
-    def _white(self, rotated: FloatArray, share: float) -> FloatArray:
-        """Return innovations of rotated columns: themselves where none of the correlation is undone."""
-        return rotated if share == 0.0 else self._noise.innovations(rotated, self._r.starts, share)
+            yield [_beside(stack, turned) for turned in self._turned(stack)]
 
     def once(self, residuals: FloatArray) -> Float32Array:
         """Return (C,) reductions of −2 log likelihood for residuals (n, J) of the model."""
-        values = self._values(residuals[None])
+        values = self._values(self._noise.rotated(residuals[None]))
         parts = [self._ratios_once(values, some) for width in self._by_width for some in self._stacks(width)]
         return np.asarray(np.concatenate(parts)[self._as_given], dtype=np.float32)
 
     def ratios(self, residuals: FloatArray) -> Float32Array:
         """Return (b, C) the same of b sets of residuals (b, n, J); what it makes for that serves the next."""
         if not self._made:
-            self._made = [
-                [_joined(of_share) for of_share in zip(*self._beside(width), strict=True)]
-                for width in self._by_width
-            ]
+            self._made = [some for width in self._by_width for some in self._beside(width)]
         parts = []
         for first in range(0, len(residuals), BATCH):
-            values = self._values(residuals[first : first + BATCH])
+            rotated = self._noise.rotated(residuals[first : first + BATCH])
+            values = self._values(rotated.astype(np.float32))
             parts.append(np.concatenate([self._ratios(values, some) for some in self._made], axis=1))
         return np.concatenate(parts)[:, self._as_given]
 
     def _ratios_once(self, values: Sequence[_Values], stack: FloatArray) -> Float32Array:
         """(C,) those of one set of residuals, for candidates whose rotated columns are (J, C, p, n)."""
         shares_left = [
-            _share_left_once(own, self._white(stack, base.share), base.columns)
-            for own, base in zip(values, self._bases, strict=True)
+            _share_left_once(own, stack, turned)
+            for own, turned in zip(values, self._turned(stack), strict=True)
         ]
         (ratios,) = self._best_of_shares(values, [left[None] for left in shares_left])
         return np.asarray(ratios, dtype=np.float32)
 
-    def _values(self, residuals: FloatArray) -> list[_Values]:
-        """Residuals (b, n, J) at each share, and their likelihood without a candidate."""
-        rotated, n = self._noise.rotated(residuals).astype(np.float32), residuals.shape[1]
-        found = []
+    def _values(self, rotated: Real) -> list[_Values]:
+        """Rotated residuals (J, b, n) at each share, and their likelihood without a candidate."""
+        n, found = rotated.shape[2], []
         for base in self._bases:
-            columns = base.columns.astype(np.float32)
+            columns = base.columns.astype(rotated.dtype)
             white = self._noise.innovations(rotated, self._r.starts, base.share)
             white -= (white @ columns).sum(axis=0) @ np.swapaxes(columns, 1, 2)
             power = np.einsum("jbn,jbn->jb", white, white) + self._floor
             null = n * np.log(power.astype(np.float64)).sum(axis=0) + base.cost
-            found.append(_Values(white, white @ columns, power, null))
+            unwhitened = self._noise.unwhitened(white, self._r.starts, base.share)
+            found.append(_Values(unwhitened, white @ columns, power, null))
         return found
 
     def _ratios(self, values: Sequence[_Values], candidates: Sequence[_Beside]) -> Float32Array:
@@ -177,49 +196,38 @@ class _Turned(NamedTuple):
     products: FloatArray
 
 
-def _turned(white: FloatArray, base: FloatArray) -> _Turned:
-    """Of candidates (J, C, p, n) beside a base (J, n, q)."""
-    channels, count, width, n = white.shape
-    inside = (white.reshape(channels, -1, n) @ base).reshape(channels, count, width, -1)
+def _turned(whole: FloatArray, inside: FloatArray, of_base: FloatArray) -> _Turned:
+    """Of candidates beside a base, all whitened.
+
+    Args:
+        whole: (J, C, p, p) products of their columns within each channel.
+        inside: (J, C, p, q) those with the base.
+        of_base: (J, q, q) those of the base with itself.
+    """
     every = inside.sum(axis=0)
-    whole = white @ np.swapaxes(white, 2, 3)
     # (c − Q·s)ᵀ(c − Q·s) within a channel, with s the products of the base over all of them
-    crossed = inside @ np.swapaxes(every, 1, 2)
-    of_base = every.reshape(-1, base.shape[2]) @ (np.swapaxes(base, 1, 2) @ base)
-    left = whole - crossed - np.swapaxes(crossed, 2, 3)
-    left += of_base.reshape(inside.shape) @ np.swapaxes(every, 1, 2)
+    half = 0.5 * (every.reshape(-1, every.shape[2]) @ of_base).reshape(inside.shape) - inside
+    taken = half @ np.swapaxes(every, 1, 2)
+    left = whole + taken + np.swapaxes(taken, 2, 3)
     turn = orthonormal(left.sum(axis=0), np.sqrt(np.einsum("jckk->ck", whole)))
     across = np.swapaxes(turn, 1, 2)
-    inward = np.swapaxes(across @ every, 0, 1).reshape(-1, base.shape[2]).T
+    inward = np.swapaxes(across @ every, 0, 1).reshape(-1, every.shape[2]).T
     return _Turned(across, inward, across @ left @ turn)
 
 
-def _beside(white: FloatArray, base: FloatArray) -> _Beside:
-    """Return columns of candidates (J, C, p, n) beside a base (J, n, q)."""
-    across, inside, products = _turned(white, base)
-    turned = across * white if white.shape[2] == 1 else across @ white
-    columns = np.ascontiguousarray(np.swapaxes(turned, 1, 2), dtype=np.float32)
+def _beside(stack: FloatArray, turned: _Turned) -> _Beside:
+    """Return candidates of rotated columns (J, C, p, n) as a base sees them."""
+    across, inside, products = turned
+    made = across * stack if stack.shape[2] == 1 else across @ stack
+    columns = np.ascontiguousarray(np.swapaxes(made, 1, 2), dtype=np.float32)
     return _Beside(columns, inside.astype(np.float32), products.astype(np.float32))
-
-
-def _joined(parts: Sequence[_Beside]) -> _Beside:
-    """Candidates of one width, one after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    width = parts[0].columns.shape[1]
-    by_column = [part.inside.reshape(len(part.inside), width, -1) for part in parts]
-    return _Beside(
-        np.concatenate([part.columns for part in parts], axis=2),
-        np.concatenate(by_column, axis=2).reshape(len(parts[0].inside), -1),
-        np.concatenate([part.products for part in parts], axis=1),
-    )
 
 
 def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
     """Return (b, C) product over the channels of what a candidate leaves of the channel's sum of squares."""
     channels, width, count, n = candidates.columns.shape
     flat = candidates.columns.reshape(channels, -1, n)
-    within = values.white @ np.swapaxes(flat, 1, 2)
+    within = values.unwhitened @ np.swapaxes(flat, 1, 2)
     within -= values.of_base @ candidates.inside
     total = within.sum(axis=0).reshape(-1, width, count)
     within = within.reshape(channels, -1, width, count)
@@ -239,11 +247,12 @@ def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
     return np.asarray(left, dtype=np.float32)
 
 
-def _share_left_once(values: _Values, white: FloatArray, base: FloatArray) -> Float32Array:
-    """Return (C,) the same of one set of values, for candidates (J, C, p, n) beside a base (J, n, q)."""
-    channels, count, width, n = white.shape
-    across, inside, products = _turned(white, base)
-    along = (white.reshape(channels, -1, n) @ values.white[:, 0, :, None]).reshape(channels, count, width, 1)
+def _share_left_once(values: _Values, stack: FloatArray, turned: _Turned) -> Float32Array:
+    """Return (C,) the same of one set of values, for candidates of rotated columns (J, C, p, n)."""
+    channels, count, width, n = stack.shape
+    across, inside, products = turned
+    along = stack.reshape(channels, -1, n) @ values.unwhitened[:, 0, :, None]
+    along = along.reshape(channels, count, width, 1)
     of_base = (values.of_base[:, 0] @ inside).reshape(channels, width, count)
     within = (across @ along)[..., 0] - np.swapaxes(of_base, 1, 2)
     total = within.sum(axis=0)

@@ -111,36 +111,46 @@ class Delay:
             if f"{name}.scale" in names
         ]
         self.moved = [(m, at) for m, at in placed if m.shape.at_elevation is not None]
+        self._last: tuple[float, FloatArray, list[FloatArray]] | None = None
 
     def elevation_deg(self, beta: FloatArray) -> FloatArray:
         """Return (n,) elevations that the readings stand for."""
-        assert self._late_by_deg is not None  # noqa: S101 (so it was chosen)
-        return np.asarray(self._r.theta_deg - self._late_by_deg(self._r, float(beta[self.at])))
+        return self._at(float(beta[self.at]))[0]
+
+    def _at(self, delay_s: float) -> tuple[FloatArray, list[FloatArray]]:
+        """Return (n,) elevations and (n, p) shares there of each moved effect; the last delay's are kept."""
+        if self._last is None or self._last[0] != delay_s:
+            assert self._late_by_deg is not None  # noqa: S101 (so it was chosen)
+            theta_deg = np.asarray(self._r.theta_deg - self._late_by_deg(self._r, delay_s))
+            self._last = delay_s, theta_deg, [shares_at(self._r, m, theta_deg) for m, _ in self.moved]
+        return self._last[1:]
 
     def over(self, beta: FloatArray) -> FloatArray:
         """Return (n, J) the delay itself, what it does to the scale, and the effects that it moves."""
-        theta_deg = self.elevation_deg(beta)
+        theta_deg, shares = self._at(float(beta[self.at]))
         late_deg = theta_deg - self._r.theta_deg
         over = np.zeros_like(self._r.values)
         over[:, self.late] = late_deg[:, None]
         for channel, k in self._scales:
             over[:, channel] += beta[k] / SCALE_UNIT_DEG * late_deg
-        for member, at in self.moved:
-            over[:, self.late] += (shares_at(self._r, member, theta_deg) @ beta[at])[:, None]
+        for share, (_, at) in zip(shares, self.moved, strict=True):
+            over[:, self.late] += (share @ beta[at])[:, None]
         return over
 
     def slope(self, beta: FloatArray) -> FloatArray:
         """Return (n, J, p) its derivative, by central differences of the delay."""
-        theta_deg = self.elevation_deg(beta)
+        theta_deg, shares = self._at(float(beta[self.at]))
         slope = np.zeros((*self._r.values.shape, len(beta)))
         change = np.zeros(len(beta))
         change[self.at] = DELAY_STEP * max(abs(float(beta[self.at])), STEP)
+        here = self._last
         ahead, behind = self.over(beta + change), self.over(beta - change)
+        self._last = here
         slope[:, :, self.at] = (ahead - behind) / (2.0 * change[self.at])
         for channel, k in self._scales:
             slope[:, channel, k] = (theta_deg - self._r.theta_deg) / SCALE_UNIT_DEG
-        for member, at in self.moved:
-            slope[:, self.late, at] = shares_at(self._r, member, theta_deg)[:, None]
+        for share, (_, at) in zip(shares, self.moved, strict=True):
+            slope[:, self.late, at] = share[:, None]
         return slope
 
 
@@ -368,9 +378,9 @@ class Curve:
 
     def straightened(self, beta: FloatArray) -> tuple[Responses, tuple[Candidate, ...]]:
         """Responses and effects whose linear model is the exact one, and its derivative, at beta."""
-        slope = self._slope(beta)
+        bent, slope = self._bent(beta), self._slope(beta)
         columns = self._straight + slope
-        values = self._r.values - self._bent(beta) + slope @ beta
+        values = self._r.values - bent + slope @ beta
         base = self._r.base.copy()
         base[:, :, self._base_at] = columns[:, :, : len(self._base_at)]
         accepted = tuple(

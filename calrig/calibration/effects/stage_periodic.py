@@ -69,6 +69,12 @@ EVEN_POWER = 0.9
 
 def spacing_deg(theta_deg: FloatArray) -> float | None:
     """Return the step of evenly spaced elevations; None where jitter or gaps tell aliases apart."""
+    return _spacing_deg(theta_deg.astype(np.float64).tobytes())
+
+
+@lru_cache(maxsize=8)
+def _spacing_deg(angles: bytes) -> float | None:
+    theta_deg = np.frombuffer(angles)
     arc, places = float(np.ptp(theta_deg)), len(np.unique(theta_deg))
     if places < 3:
         return None
@@ -216,7 +222,10 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 
 def _waves(theta_deg: FloatArray, period_deg: float) -> FloatArray:
     phase = 2.0 * np.pi * theta_deg / period_deg
-    return np.stack([np.sin(phase), np.cos(phase)], axis=1)
+    waves = np.empty((len(phase), 2))
+    np.sin(phase, out=waves[:, 0])
+    np.cos(phase, out=waves[:, 1])
+    return waves
 
 
 def _settled(at: Parameters, std: Parameters) -> Parameters:
@@ -246,8 +255,12 @@ def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
 
 def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
     """Return whether the poses resolve two waves from each other; an order 1 is an eccentricity."""
-    own, its = (s.at.get("period_deg", TURN_DEG if s.series == THE_TURN else 0.0) for s in (shape, other))
+    own, its = _period_deg(shape), _period_deg(other)
     return own == 0.0 or its == 0.0 or abs(1.0 / own - 1.0 / its) >= APART / r.arc_deg
+
+
+def _period_deg(shape: Shape) -> float:
+    return shape.at.get("period_deg", TURN_DEG if shape.series == THE_TURN else 0.0)
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:

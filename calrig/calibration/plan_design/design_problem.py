@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from calrig.calibration.correlated_errors import expected_widening
 from calrig.calibration.plan_design.layout import Pace, Precision, Sweep, Turning, leverage
 from calrig.calibration.plan_design.smallest_effects import SHOWN_BY_MOVING, Suspect
 from calrig.calibration.uncertainty.coverage import coverage_factor
@@ -122,16 +123,27 @@ def scatter_wanted_deg(
         n_poses: how many; the line takes two degrees of freedom.
         leverages: of the layout, for scatter 1 (`layout.leverage`).
     """
-    over_range, bias, scale = leverages
+    reading, of_bias, of_scale = stated_for_scatter_1(n_poses, leverages)
     allowed = [math.inf]
     if goals.expanded_deg is not None:
-        type_a_deg = type_b.of_line(over_range).type_a_deg(goals.expanded_deg, n_poses - 2.0)
-        allowed.append(type_a_deg / math.sqrt(1.0 + over_range))
+        type_a_deg = type_b.of_line(leverages[0]).type_a_deg(goals.expanded_deg, n_poses - 2.0)
+        allowed.append(type_a_deg / reading)
     if goals.bias_std_deg is not None:
-        allowed.append(goals.bias_std_deg / math.sqrt(bias))
+        allowed.append(goals.bias_std_deg / of_bias)
     if goals.scale_std is not None:
-        allowed.append(goals.scale_std / math.sqrt(scale))
+        allowed.append(goals.scale_std / of_scale)
     return min(allowed)
+
+
+def stated_for_scatter_1(n_poses: int, leverages: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return standard uncertainties that a result states where readings have white noise of 1.
+
+    Type A of an elevation, standard errors of bias and scale: they allow for correlation, so that they are
+    larger than those of ordinary least squares (`expected_widening`).
+    """
+    (over_range, bias, scale), (scatter, of_bias, of_scale) = leverages, expected_widening(n_poses)
+    reading = math.sqrt(scatter**2 + of_bias**2 * over_range)
+    return reading, of_bias * math.sqrt(bias), of_scale * math.sqrt(scale)
 
 
 SHORTEST_DWELL_S, LONGEST_DWELL_S = 0.5, 120.0
@@ -219,19 +231,20 @@ class DesignProblem:
         sweep: Sweep | None = None,
     ) -> Design:
         """A design and what its result will state, the scatter larger by what ending early asks for."""
-        over_range, bias, scale = leverage(order)
+        leverages = leverage(order)
+        reading, bias, scale = stated_for_scatter_1(len(order), leverages)
         stated_deg = cautioned * scatter_deg
         expanded_deg: float | None = None
         if self.type_b is not None:
-            type_a_deg = stated_deg * math.sqrt(1.0 + over_range)
-            expanded_deg = self.type_b.of_line(over_range).expanded_deg(type_a_deg, len(order) - 2.0)
+            type_b = self.type_b.of_line(leverages[0])
+            expanded_deg = type_b.expanded_deg(stated_deg * reading, len(order) - 2.0)
         return Design(
             elevations_deg=tuple(order),
             dwell_s=dwell_s,
             duration_s=duration_s,
             expanded_deg=expanded_deg,
-            bias_std_deg=stated_deg * math.sqrt(bias),
-            scale_std=stated_deg * math.sqrt(scale),
+            bias_std_deg=stated_deg * bias,
+            scale_std=stated_deg * scale,
             scatter_deg=scatter_deg,
             sweep=sweep,
         )

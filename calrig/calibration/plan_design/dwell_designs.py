@@ -67,15 +67,12 @@ def least_s(task: DesignProblem) -> float:
     return min(overhead_s(task, order) + len(order) * SHORTEST_DWELL_S for order in layouts(task))
 
 
-def first_good_enough(task: DesignProblem, goals: Goals, design: Design) -> Design:
-    """As much of a design as its run takes that ends as soon as the goals are reached."""
+def parts(task: DesignProblem, design: Design) -> Iterator[Design]:
+    """As much of a design as its run has taken each time that it may end early."""
     order = design.elevations_deg
     for n in range(FEWEST_UNTIL, len(order)):
         if has_the_line(order[:n], order):
-            part = made(task, list(order[:n]), design.dwell_s, caution(n))
-            if goals.reached_by(part.expanded_deg, part.bias_std_deg, part.scale_std):
-                return part
-    return design
+            yield made(task, list(order[:n]), design.dwell_s, caution(n))
 
 
 def overhead_s(task: DesignProblem, order: list[float]) -> float:

@@ -60,19 +60,13 @@ def least_s(task: DesignProblem) -> float:
     return min((one.duration_s(task.pace, turning) for one in shortest), default=math.inf)
 
 
-def first_good_enough(
-    task: DesignProblem, sweeping: Sweeping, goals: Goals, design: Design, sweep: Sweep
-) -> Design:
-    """As many passes of a design, a way and back at least, as its run takes until the goals are reached."""
+def parts(task: DesignProblem, sweeping: Sweeping, design: Design, sweep: Sweep) -> Iterator[Design]:
+    """As many passes of a design, a way and back at least, as its run has made each time it may end early."""
     for passes in range(2, sweep.passes):
         begun = replace(sweep, passes=passes)
         order = list(design.elevations_deg[: len(begun)])
-        part = _stated(task, sweeping, begun, order, caution(len(order)))
-        if len(order) >= FEWEST_UNTIL and goals.reached_by(
-            part.expanded_deg, part.bias_std_deg, part.scale_std
-        ):
-            return part
-    return design
+        if len(order) >= FEWEST_UNTIL:
+            yield _stated(task, sweeping, begun, order, caution(len(order)))
 
 
 def made(task: DesignProblem, sweeping: Sweeping, sweep: Sweep) -> Design:

@@ -16,6 +16,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.regression.motion import Motion
 from calrig.calibration.regression.responses import Change, Responses
@@ -213,6 +214,11 @@ class Circumstances:
     def get(self, name: str) -> FloatArray | None:
         """Return (n,) the column of a name; None where it is not known of every pose."""
         return self._columns.get(name)
+
+    def rows(self, chosen: npt.NDArray[np.bool_]) -> Circumstances:
+        """Return the circumstances of some of the poses."""
+        columns = self._columns.items()
+        return Circumstances(**{name: None if one is None else one[chosen] for name, one in columns})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

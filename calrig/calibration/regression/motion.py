@@ -89,7 +89,7 @@ class Path:
     to_dps: FloatArray
 
     def at_deg(self, time_s: FloatArray) -> FloatArray:
-        """Return (n,) elevations; before the first and after the last knot the stage moves evenly."""
+        """Return elevations at times of any shape; beyond the first and last knot the stage moves evenly."""
         k = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.from_dps) - 1)
         length_s, way_deg = np.diff(self.time_s)[k], np.diff(self.theta_deg)[k]
         share = (time_s - self.time_s[k]) / length_s
@@ -133,8 +133,8 @@ class Motion:
         for k, path in enumerate(self.paths):
             if path is not None:
                 own = self.run == k
-                at_s = self.time_s[own]
-                travelled[own] = path.at_deg(at_s) - path.at_deg(at_s - lag_s)
+                now, before = np.split(path.at_deg(np.add.outer([0.0, -lag_s], self.time_s[own])), 2)
+                travelled[own] = (now - before)[0]
         return np.asarray(travelled, dtype=np.float64)
 
     def mean_dps(self, lag_s: float) -> FloatArray:

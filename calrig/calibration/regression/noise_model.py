@@ -17,6 +17,7 @@ many responses (`RepeatedSteps`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple, TypeVar
 
@@ -120,6 +121,11 @@ SINGULAR = 1e-10
 Real = TypeVar("Real", npt.NDArray[np.float64], npt.NDArray[np.float32])
 
 
+def _follows(starts: BoolArray) -> BoolArray:
+    """Return (n,) whether a pose follows on another: the first does not, nor does the first of each run."""
+    return np.append(False, ~starts[1:])
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
     """Residuals e (n, J): e·rotation is J independent autoregressions of unit variance, correlation rho."""
@@ -155,6 +161,34 @@ class NoiseModel:
         white[..., 1:] *= gain
         white[..., starts] = rotated[..., starts]
         return white
+
+    def unwhitened(self, white: Real, starts: BoolArray, share: float = 1.0) -> Real:
+        """Return (J, …, n) the transpose of `innovations`: x·unwhitened(y) is innovations(x)·y."""
+        rho = (self.rho * share).astype(white.dtype).reshape(-1, *(1,) * (white.ndim - 1))
+        gain = np.where(_follows(starts), 1.0 / np.sqrt(1.0 - rho**2), 0.0).astype(white.dtype)
+        back = white * np.where(_follows(starts), gain, white.dtype.type(1.0))
+        back[..., :-1] -= (rho * gain * white)[..., 1:]
+        return back
+
+    def gram_of_innovations(
+        self, rotated: FloatArray, starts: BoolArray, shares: Sequence[float]
+    ) -> list[FloatArray]:
+        """Return (J, C, p, p) products of the innovations of rotated columns (J, C, p, n), at each share."""
+        follows = _follows(starts)
+        alone, last = np.flatnonzero(~follows), np.append(np.flatnonzero(~follows[1:]), len(starts) - 1)
+        same = rotated @ np.swapaxes(rotated, 2, 3)
+        lagged = rotated[..., 1:] @ np.swapaxes(rotated[..., :-1], 2, 3)
+        anew, ends = rotated[..., alone], rotated[..., last]
+        lagged -= anew[..., 1:] @ np.swapaxes(ends[..., :-1], 2, 3)
+        anew = anew @ np.swapaxes(anew, 2, 3)
+        later, earlier = same - anew, same - ends @ np.swapaxes(ends, 2, 3)
+        lagged = lagged + np.swapaxes(lagged, 2, 3)
+
+        def at(share: float) -> FloatArray:
+            rho = (self.rho * share).reshape(-1, 1, 1, 1)
+            return np.asarray(anew + (later - rho * lagged + rho**2 * earlier) / (1.0 - rho**2))
+
+        return [same if share == 0.0 else at(share) for share in shares]
 
     def colour(self, innovations: FloatArray, starts: BoolArray) -> FloatArray:
         """Return the residuals (…, n, J) whose innovations are given: the inverse of `whiten`."""

@@ -64,7 +64,7 @@ def turns(r: Responses) -> bool:
 
 
 def less_line(r: Responses, columns: FloatArray) -> FloatArray:
-    """Return columns (n, p) less what bias and scale have of them."""
+    """Return columns (n, p), or one of (n,), less what bias and scale have of them."""
     line = np.column_stack([np.ones(len(r)), r.theta_deg])
     return np.asarray(columns - line @ np.linalg.lstsq(line, columns, rcond=None)[0])
 

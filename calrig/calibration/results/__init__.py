@@ -11,18 +11,36 @@ from calrig.calibration.results.correction import (
     effects_at_rest,
     effects_on_reading_deg,
     felt_elevation_deg,
+    fit_line_with_effects,
     numbers_of,
     own_effect,
     reference_temperature_c,
     spans_more_than_a_turn,
 )
 from calrig.calibration.results.pose_errors import (
+    angles_deg,
     as_clamped,
+    circumstances,
     corrected_residuals_deg,
+    nominal_deg,
+    poses_without_effects,
     raw_error_deg,
     residuals,
 )
-from calrig.calibration.results.result import UNKNOWN_GYRO, FittedResult, apply_calibration, build_result
+from calrig.calibration.results.result import (
+    UNKNOWN_GYRO,
+    EffectDoubt,
+    FittedResult,
+    apply_calibration,
+    build_result,
+)
+from calrig.calibration.results.verification import (
+    CalibrationBasis,
+    Promise,
+    basis_of_poses,
+    of_line_alone,
+    verify,
+)
 
 __all__ = [
     "AT_ITS_END_DEG",
@@ -30,19 +48,30 @@ __all__ = [
     "UNKNOWN_GYRO",
     "Application",
     "AppliedEffect",
+    "CalibrationBasis",
+    "EffectDoubt",
     "FittedResult",
+    "Promise",
+    "angles_deg",
     "apply_calibration",
     "as_clamped",
+    "basis_of_poses",
     "build_result",
+    "circumstances",
     "columns_followed",
     "corrected_residuals_deg",
     "effects_at_rest",
     "effects_on_reading_deg",
     "felt_elevation_deg",
+    "fit_line_with_effects",
+    "nominal_deg",
     "numbers_of",
+    "of_line_alone",
     "own_effect",
+    "poses_without_effects",
     "raw_error_deg",
     "reference_temperature_c",
     "residuals",
     "spans_more_than_a_turn",
+    "verify",
 ]

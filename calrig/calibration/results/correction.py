@@ -24,7 +24,6 @@ from calrig.calibration.regression.effect import (
     Applied,
     ApplyError,
     Circumstances,
-    Effect,
     NotInFlight,
     Parameters,
     turned_vector,
@@ -80,7 +79,6 @@ def effects_on_reading_deg(
     given = given or Circumstances()
     felt_deg = theta_deg if felt_deg is None else felt_deg
     total = np.zeros(len(theta_deg))
-    on_axes: list[tuple[Effect, Parameters]] = []
     # a late reading has all other effects at the elevation that it stands for
     late_first = sorted(effects, key=lambda one: effect_of(one[0]).late_by_deg is None)
     for name, parameters in late_first:
@@ -92,15 +90,21 @@ def effects_on_reading_deg(
                 theta_deg = theta_deg + added
             if effect.turns_the_sensor(parameters) or effect.late_by_deg is not None:
                 felt_deg = felt_deg + added
-        if effect.on_vector_g is not None:
-            on_axes.append((effect, parameters))
+    error_g = error_on_vector_g(effects, theta_deg, given, felt_deg)
+    return np.asarray(total + turned_vector(felt_deg, error_g)[0], dtype=np.float64)
+
+
+def error_on_vector_g(
+    effects: Sequence[AppliedEffect], theta_deg: FloatArray, given: Circumstances, felt_deg: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return (n,) each, the sum of what effects add to a_y and to a_z, g."""
     error_y, error_z = np.zeros(len(theta_deg)), np.zeros(len(theta_deg))
-    for effect, parameters in on_axes:
-        assert effect.on_vector_g is not None  # noqa: S101 (so they were chosen)
-        applied = Applied(effect.name, parameters, theta_deg, given, felt_deg)
-        more_y, more_z = effect.on_vector_g(applied)
-        error_y, error_z = error_y + more_y, error_z + more_z
-    return np.asarray(total + turned_vector(felt_deg, (error_y, error_z))[0], dtype=np.float64)
+    for name, parameters in effects:
+        on_vector_g = effect_of(name).on_vector_g
+        if on_vector_g is not None:
+            more_y, more_z = on_vector_g(Applied(name, parameters, theta_deg, given, felt_deg))
+            error_y, error_z = error_y + more_y, error_z + more_z
+    return error_y, error_z
 
 
 def fit_line_with_effects(

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from calrig.calibration.effects import effect_of
 from calrig.calibration.line import Line, residuals_deg
 from calrig.calibration.poses import HOST_TIME, OF_MOUNTS, Pose
-from calrig.calibration.regression.effect import Circumstances
+from calrig.calibration.regression.effect import ELEVATION, LAST_MOVE, OF_SENSOR, Applied, Circumstances
 from calrig.calibration.regression.motion import (
     approach_of,
     filter_share,
@@ -19,8 +21,17 @@ from calrig.calibration.regression.motion import (
     stretches_deg,
     travel_deg,
 )
-from calrig.calibration.results.correction import AppliedEffect, effects_on_reading_deg, felt_elevation_deg
+from calrig.calibration.results.correction import (
+    AppliedEffect,
+    effects_on_reading_deg,
+    error_on_vector_g,
+    felt_elevation_deg,
+    fit_line_with_effects,
+)
 from calrig.estimation.angles import FloatArray, wrap_deg
+
+STEEPEST_DEG = 80.0
+"""Beyond it the angle says next to nothing of an error of y; as in the effect `nonlinearity`."""
 
 
 def raw_error_deg(pose: Pose, sense: int = 1) -> float:
@@ -78,6 +89,57 @@ def without_effects_deg(
     return reading - effects_on_reading_deg(effects, theta, given or circumstances(poses), felt)
 
 
+def poses_without_effects(poses: Sequence[Pose], effects: Sequence[AppliedEffect]) -> list[Pose]:
+    """Return the poses as a unit without these effects of its own would have given them.
+
+    The effects are taken out of the reading and of the accelerometer's y and z, at the elevation of the
+    sensor that bias and scale of these poses give. A curve of the elevation is an error of y: it changes the
+    vector's length as well. What is the unit's because its reference is good turns the vector.
+
+    Raises:
+        ApplyError: the poses lack what an effect is a function of.
+    """
+    if not poses:
+        return []
+    theta, reading = angles_deg(poses)
+    given = circumstances(poses)
+    line = fit_line_with_effects(theta, reading, effects, given)
+    felt_deg = felt_elevation_deg(theta, line.bias_deg, line.scale)
+    left_deg = reading - effects_on_reading_deg(effects, theta, given, felt_deg)
+    of_angle = [one for one in effects if effect_of(one[0]).covariate is not LAST_MOVE]
+    of_axis_y = [
+        one for one in of_angle if effect_of(one[0]).covariate is ELEVATION and OF_SENSOR not in one[1]
+    ]
+    cosine = np.cos(np.radians(np.clip(felt_deg, -STEEPEST_DEG, STEEPEST_DEG)))
+    bent, turned = (
+        np.radians(sum((_added_to_angle_deg(one, theta, given) for one in some), np.zeros(len(theta))))
+        for some in (of_axis_y, [one for one in of_angle if one not in of_axis_y])
+    )
+    error_y, error_z = error_on_vector_g(effects, theta, given, felt_deg)
+    return [
+        replace(pose, reading_deg=float(left_deg[k]), **_vector_without(pose, error, float(turned[k])))
+        for k, (pose, *error) in enumerate(zip(poses, error_y + bent / cosine, error_z, strict=True))
+    ]
+
+
+def _added_to_angle_deg(effect: AppliedEffect, theta_deg: FloatArray, given: Circumstances) -> FloatArray:
+    """Return (n,) what an effect adds to the angle itself; 0 where it acts on the axes."""
+    name, parameters = effect
+    on_reading_deg = effect_of(name).on_reading_deg
+    if on_reading_deg is None:
+        return np.zeros(len(theta_deg))
+    return on_reading_deg(Applied(name, parameters, theta_deg, given))
+
+
+def _vector_without(pose: Pose, error_g: Sequence[float], turned_rad: float) -> dict[str, Any]:
+    """The accelerometer's y and z less an error and turned back; nothing where they are not known."""
+    if pose.accel_y_g is None or pose.accel_z_g is None:
+        return {}
+    y_g, z_g = pose.accel_y_g - float(error_g[0]), pose.accel_z_g - float(error_g[1])
+    s, c = math.sin(turned_rad), math.cos(turned_rad)
+    return {"accel_y_g": y_g * c - z_g * s, "accel_z_g": z_g * c + y_g * s}
+
+
 def circumstances(poses: Sequence[Pose]) -> Circumstances:
     """Return what effects are functions of, as far as it is known of every pose.
 
@@ -103,6 +165,11 @@ def circumstances(poses: Sequence[Pose]) -> Circumstances:
     return Circumstances(
         motion, **known, **{name: column([p.covariates.get(name) for p in poses]) for name in own}
     )
+
+
+def nominal_deg(poses: Sequence[Pose]) -> FloatArray:
+    """Return (n,) elevations that the poses were commanded to, by the angle at which the unit was clamped."""
+    return np.array([pose.target_deg + wrap_deg(pose.mount_deg) for pose in poses], dtype=np.float64)
 
 
 def angles_deg(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -16,12 +17,13 @@ from calrig.calibration.results.pose_errors import (
     angles_deg,
     as_clamped,
     circumstances,
+    nominal_deg,
     raw_error_deg,
     without_effects_deg,
 )
 from calrig.calibration.uncertainty.budget import over_range, reference_figures
 from calrig.calibration.uncertainty.sequential_stopping import AS_PLANNED, Ending, cautious
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.model.result import Extremes, Gyro, Reference, ReferenceFigures, Result
 
 RELATIVE = (
@@ -31,6 +33,21 @@ RELATIVE = (
 
 UNKNOWN_GYRO = Gyro(bias_dps=[None] * 3, bias_std_dps=[None] * 3, scale=None, scale_std=None)
 """Of poses without samples of the gyro."""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectDoubt:
+    """How well effects are known that are taken out of a run.
+
+    Attributes:
+        stds: of each effect, the standard errors of its parameters by name.
+        run_offset_std_deg: between days and clampings; 0 where it is not known.
+        fitted_here: parameters that were fitted to the very poses that the effects are taken out of.
+    """
+
+    stds: Sequence[Mapping[str, float]]
+    run_offset_std_deg: float = 0.0
+    fitted_here: int = 0
 
 
 class FittedResult(Result):
@@ -52,6 +69,7 @@ def build_result(
     reference: Reference | None = None,
     reference_says: str | None = None,
     ending: Ending = AS_PLANNED,
+    doubt: EffectDoubt | None = None,
 ) -> FittedResult:
     """Fit a run's poses and gather their result; of several mounts, the first one's.
 
@@ -63,6 +81,7 @@ def build_result(
         reference: what the rig said of its stage when the poses were measured.
         reference_says: why it is not the stage's map.
         ending: how the run came to its end; the scatter of one that might end early is stated with care.
+        doubt: how well the effects are known; exactly where it is None.
 
     Raises:
         ValueError: no pose, or one whose angle or reading is not finite.
@@ -74,10 +93,14 @@ def build_result(
     with_effects = _line_with_effects(poses, theta, reading, effects)
     calibrated_deg = residuals_deg(theta, reading, line.bias_deg, line.scale)
     noise_deg = _pooled_noise_deg(poses)
+    if with_effects is not None and doubt is not None:
+        with_effects = _with_fewer_degrees(with_effects[0], len(poses), doubt.fitted_here), with_effects[1]
     if ending.may_be_early:
         line = cautious(line, len(poses), noise_deg)
         if with_effects is not None:
             with_effects = cautious(with_effects[0], len(poses), noise_deg), with_effects[1]
+    if with_effects is not None and doubt is not None:
+        with_effects = _doubted(with_effects[0], poses, effects, doubt), with_effects[1]
     left = (line, calibrated_deg) if with_effects is None else with_effects
     return FittedResult(
         bias_deg=line.bias_deg,
@@ -91,8 +114,8 @@ def build_result(
         noise_deg=noise_deg,
         temperature_c=_temperature_range(poses),
         gyro=gyro or UNKNOWN_GYRO,
-        reference=None if reference is None else reference_figures(theta, line, reference),
-        over_range=over_range(theta, left[1], left[0], reference, noise_deg),
+        reference=None if reference is None else reference_figures(theta, left[0], reference),
+        over_range=over_range(theta, left[1], left[0], reference, noise_deg, nominal_deg(poses)),
         line=line,
         line_with_effects=None if with_effects is None else with_effects[0],
         reference_says=reference_says,
@@ -144,6 +167,7 @@ def apply_calibration(
                 fit_line(theta, without, one_angle=fresh.scale is None),
                 None if reference is None else reference.reference,
                 fresh.noise_deg,
+                nominal_deg(poses),
             ),
             "line": line,
             "reference_says": RELATIVE if clamped_anew else None,
@@ -164,6 +188,63 @@ def _line_with_effects(
     except ApplyError:
         return None
     return line, residuals_deg(theta, without, line.bias_deg, line.scale)
+
+
+def _with_fewer_degrees(line: Line, n_poses: int, fitted: int) -> Line:
+    """Return the line with scatter and covariance of n − 2 − `fitted` degrees of freedom, of 1 at least."""
+    fitted = min(fitted, n_poses - 3)
+    if fitted <= 0 or line.covariance is None or line.residual_std_deg is None:
+        return line
+    more = math.sqrt((n_poses - 2) / (n_poses - 2 - fitted))
+    (bias, shared), (_, scale) = line.covariance
+    return replace(
+        line,
+        bias_std_deg=more * math.sqrt(bias),
+        scale_std=more * math.sqrt(scale),
+        covariance=((more**2 * bias, more**2 * shared), (more**2 * shared, more**2 * scale)),
+        residual_std_deg=more * line.residual_std_deg,
+        effect_parameters=fitted,
+    )
+
+
+def _doubted(line: Line, poses: Sequence[Pose], effects: Sequence[AppliedEffect], doubt: EffectDoubt) -> Line:
+    """The line with the standard errors of the effects in its covariance.
+
+    With X the columns of bias and scale, and Z those of the effects, whose parameters γ have the covariance
+    P, the line fitted to the readings less Z·γ has s²·(XᵀX)⁻¹ + H·P·Hᵀ, H = (XᵀX)⁻¹XᵀZ. A fit of all of them
+    together has the same (block inverse of the normal equations). H is by central differences.
+    """
+    if line.covariance is None:
+        return line
+    theta, reading = angles_deg(poses)
+    given, covariance = circumstances(poses), np.array(line.covariance)
+    for k, (name, values) in enumerate(effects):
+        for parameter, std in doubt.stds[k].items():
+            ends = [
+                fit_line_with_effects(
+                    theta,
+                    reading,
+                    [
+                        *effects[:k],
+                        (name, {**values, parameter: values[parameter] + side}),
+                        *effects[k + 1 :],
+                    ],
+                    given,
+                )
+                for side in (std, -std)
+            ]
+            (above, below) = (np.array([one.bias_deg, one.scale or 1.0]) for one in ends)
+            apart = above - below
+            apart[0] = wrap_deg(apart[0])
+            covariance += np.outer(apart, apart) / 4.0
+    covariance[0, 0] += doubt.run_offset_std_deg**2
+    (of_bias, shared), (_, of_scale) = covariance.tolist()
+    return replace(
+        line,
+        covariance=((of_bias, shared), (shared, of_scale)),
+        bias_std_deg=math.sqrt(of_bias),
+        scale_std=math.sqrt(of_scale),
+    )
 
 
 def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:

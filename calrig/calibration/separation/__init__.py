@@ -5,6 +5,7 @@ from __future__ import annotations
 from calrig.calibration.separation.clamping import FACES
 from calrig.calibration.separation.gravity import calibrate_by_gravity, gravity_document
 from calrig.calibration.separation.map_report import mapped
+from calrig.calibration.separation.map_validity import ORDERS as CHECKED_ORDERS
 from calrig.calibration.separation.map_validity import MapCheck, checked
 from calrig.calibration.separation.messages import advised
 from calrig.calibration.separation.pose_table import MountedPoses, Table, are_whole
@@ -29,12 +30,14 @@ from calrig.calibration.separation.stage_map import (
     beyond_in_words,
     dial_of,
     in_words,
+    local_document,
     map_reference,
     with_map,
 )
 from calrig.calibration.separation.unit_results import ElevationUncertainty, Frame
 
 __all__ = [
+    "CHECKED_ORDERS",
     "FACES",
     "MAP_SCHEMA",
     "ElevationUncertainty",
@@ -58,6 +61,7 @@ __all__ = [
     "gyro_document",
     "in_words",
     "level_document",
+    "local_document",
     "map_document",
     "map_reference",
     "mapped",

@@ -1,6 +1,6 @@
 """An accelerometer at rest: its vector by gravity's direction, with all derivatives; g and radians.
 
-    a = b + b_per_c·ΔT + (1 + gain)·u + q·u² + c·u³,  u = S·g
+    a = b + b_per_c·ΔT + (1 + gain)·u + q·u² + c·u³ + f·u⁴,  u = S·g
 
 Each line is of one axis. S is upper triangular with ones on its diagonal: the frame of g is then the sensor's
 own, its z along the sensor's z, its y in the plane of y and z. Each axis is nonlinear in what acts along it:
@@ -25,7 +25,8 @@ from calrig.estimation.angles import AXES, FloatArray
 
 BIAS, GAIN, SKEW = slice(0, 3), slice(3, 6), slice(6, 9)
 QUADRATIC, CUBIC, PER_C = slice(9, 12), slice(12, 15), slice(15, 18)
-WIDTH = 18
+QUARTIC = slice(18, 21)
+WIDTH = 21
 """Parameters of a unit: three of each kind, x, y, z; skews xy, xz, yz."""
 SKEWS = ((0, 1), (0, 2), (1, 2))
 """Row and column of each skew in S."""
@@ -40,6 +41,7 @@ NAMES = tuple(
         ("quadratic term", AXES),
         ("cubic term", AXES),
         ("offset's temperature", AXES),
+        ("quartic term", AXES),
     )
     for axes in of
 )
@@ -53,17 +55,46 @@ LARGEST = np.repeat(
         LARGEST_CURVATURE_G,
         LARGEST_CURVATURE_G,
         LARGEST_MG_PER_C / 1000.0,
+        LARGEST_CURVATURE_G,
     ],
     3,
 )
 """How large each may be in any part that is sold: what is not known of a parameter before the data."""
-PLANE_NAMES = ("common_gain", "gain", "skew", "y", "z", "y2", "y3", "z2", "z3", "y_per_c", "z_per_c")
-PLANE_CURVATURES = tuple(PLANE_NAMES.index(name) for name in ("y2", "y3", "z2", "z3"))
+PLANE_NAMES = (
+    "common_gain",
+    "gain",
+    "skew",
+    "y",
+    "z",
+    "y2",
+    "y3",
+    "z2",
+    "z3",
+    "y_per_c",
+    "z_per_c",
+    "y4",
+    "z4",
+)
+PLANE_CURVATURES = tuple(PLANE_NAMES.index(name) for name in ("y2", "y3", "z2", "z3", "y4", "z4"))
+PLANE_QUARTIC = tuple(PLANE_NAMES.index(name) for name in ("y4", "z4"))
 PLANE_PER_C = tuple(PLANE_NAMES.index(name) for name in ("y_per_c", "z_per_c"))
-_SAME = {"y": 1, "z": 2, "y2": 10, "y3": 13, "z2": 11, "z3": 14, "y_per_c": 16, "z_per_c": 17}
+_SAME = {
+    "y": 1,
+    "z": 2,
+    "y2": 10,
+    "y3": 13,
+    "z2": 11,
+    "z3": 14,
+    "y_per_c": 16,
+    "z_per_c": 17,
+    "y4": 19,
+    "z4": 20,
+}
 """Of `PLANE_NAMES` those that are parameters of the unit themselves, and their places."""
-OF_LINEAR, OF_CUBIC = 2, 4
-"""Highest order of the turn that a unit's error of angle has: offsets 1, gains and skew 2, cubic terms 4."""
+OF_LINEAR, OF_CUBIC, OF_QUARTIC = 2, 4, 5
+"""Highest order of the turn that a unit's error of angle has: offsets 1, gains and skew 2, cubic terms 4,
+quartic terms 5.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +104,7 @@ class SensedVector:
     Attributes:
         vector_g: (n, 3).
         by_direction: (n, 3, 3) its derivative by each component of the direction.
-        by_parameters: (n, 3, 18).
+        by_parameters: (n, 3, 21).
     """
 
     vector_g: FloatArray
@@ -87,17 +118,18 @@ def sensed_vector(
     """Return the vectors of one unit, or of as many as there are directions.
 
     Args:
-        parameters: (18,), or (n, 18) those of each direction's own unit.
+        parameters: (21,), or (n, 21) those of each direction's own unit.
         direction: (n, 3) upward, of length 1, in the sensor's own frame.
         warmer_c: (n,) die temperature less the unit's reference.
     """
     askew = skewed(parameters)
     along = np.einsum("...ij,...j->...i", askew, direction)
     warmer = np.broadcast_to(np.asarray(warmer_c, dtype=np.float64), (len(direction),))
-    size, quadratic, cubic = (
+    size, quadratic, cubic, quartic = (
         1.0 + parameters[..., GAIN],
         parameters[..., QUADRATIC],
         parameters[..., CUBIC],
+        parameters[..., QUARTIC],
     )
     vector = (
         parameters[..., BIAS]
@@ -105,11 +137,13 @@ def sensed_vector(
         + size * along
         + quadratic * along**2
         + cubic * along**3
+        + quartic * along**4
     )
-    steep = size + 2.0 * quadratic * along + 3.0 * cubic * along**2
+    steep = size + 2.0 * quadratic * along + 3.0 * cubic * along**2 + 4.0 * quartic * along**3
     by = np.zeros((len(direction), 3, WIDTH))
     of_axes = np.arange(3)
-    for at, column in ((BIAS, 1.0), (GAIN, along), (QUADRATIC, along**2), (CUBIC, along**3)):
+    powers = (BIAS, 1.0), (GAIN, along), (QUADRATIC, along**2), (CUBIC, along**3), (QUARTIC, along**4)
+    for at, column in powers:
         by[:, of_axes, at.start + of_axes] = column
     by[:, of_axes, PER_C.start + of_axes] = warmer[:, None]
     for k, (row, column_of) in enumerate(SKEWS):
@@ -138,7 +172,7 @@ class PlaneVector:
     Attributes:
         vector_g: (n, 2) a_y and a_z.
         by_elevation: (n, 2) its derivative by the elevation, g/rad.
-        by_parameters: (n, 2, 11) by each of `PLANE_NAMES`.
+        by_parameters: (n, 2, 13) by each of `PLANE_NAMES`.
     """
 
     vector_g: FloatArray
@@ -164,7 +198,7 @@ def plane_vector(own: FloatArray, elevation: FloatArray, warmer_c: FloatArray | 
     """Return the vector of one unit about its x axis.
 
     Args:
-        own: (11,) as `PLANE_NAMES`.
+        own: (13,) as `PLANE_NAMES`.
         elevation: (n,) rad.
         warmer_c: (n,) die temperature less the unit's reference.
     """
@@ -185,7 +219,7 @@ def plane_vector(own: FloatArray, elevation: FloatArray, warmer_c: FloatArray | 
 
 
 def plane_parameters(own: FloatArray, axis: FloatArray) -> FloatArray:
-    """(11,) of a unit (18,) that turns about an axis (3,), its elevation 0 where its z has most of 1 g."""
+    """(13,) of a unit (21,) that turns about an axis (3,), its elevation 0 where its z has most of 1 g."""
     up = np.eye(3)[2] - axis[2] * axis
     up /= np.linalg.norm(up)
     level = np.cross(up, axis)
@@ -193,7 +227,7 @@ def plane_parameters(own: FloatArray, axis: FloatArray) -> FloatArray:
     by_level, by_up, size_z = along_y @ level, along_y @ up, along_z @ up
     common = (1.0 + own[GAIN][2]) * size_z - 1.0
     gain = (1.0 + own[GAIN][1]) * by_level / (1.0 + common) - 1.0
-    quadratic, cubic = own[QUADRATIC], own[CUBIC]
+    quadratic, cubic, quartic = own[QUADRATIC], own[CUBIC], own[QUARTIC]
     return np.array(
         [
             common,
@@ -207,5 +241,7 @@ def plane_parameters(own: FloatArray, axis: FloatArray) -> FloatArray:
             cubic[2] * size_z**3,
             own[PER_C][1],
             own[PER_C][2],
+            quartic[1] * by_level**4,
+            quartic[2] * size_z**4,
         ]
     )

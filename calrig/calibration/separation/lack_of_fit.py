@@ -152,7 +152,10 @@ def unstated_gear(fit: Fit) -> Gear | None:
 
     table, rows = fit.problem.table, np.flatnonzero(fit.kept)
     dial_deg = table.dial_deg[rows]
-    step = TURN_DEG / (TURN_DEG - widest_gap_deg(dial_deg)) / STEPS_A_WAVE
+    arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
+    if arc_deg == 0.0:
+        return None
+    step = TURN_DEG / arc_deg / STEPS_A_WAVE
     orders = np.arange(HIGHEST_ORDER + 1.0, highest_identifiable_order(table.dial_deg), step)
     if not len(orders):
         return None

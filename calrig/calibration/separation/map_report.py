@@ -12,8 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calrig.calibration.separation.lack_of_fit import Gear
 from calrig.calibration.separation.least_squares import Fit
-from calrig.calibration.separation.stage_map import TURN_DEG, basis, dial_grid_deg
+from calrig.calibration.separation.solution import Solution
+from calrig.calibration.separation.stage_map import (
+    TURN_DEG,
+    Region,
+    basis,
+    dial_grid_deg,
+    inside_gaps,
+    inside_regions,
+    local_variance_deg2,
+    undetermined_gaps,
+)
 from calrig.estimation.angles import FloatArray, wrap_deg
 
 FEWEST_REPEATS = 12
@@ -76,7 +87,11 @@ class Mapped:
     """The map less its mean over the dial's angles, which goes into the mounts; degrees.
 
     Attributes:
-        stage_deg, error_deg, std_deg: (m,) over the dial where poses stood, as in the middle of the play.
+        stage_deg, error_deg, std_deg: (m,) over the dial where poses stood, as in the middle of the play; NaN
+            in a gap.
+        orders: of the series; last that of a gear nobody stated, of coefficients 0 and its own variance.
+        regions, gaps_deg: where the stage is off locally, and where no pose shows the map.
+        mean_deg: of the fit's own series, what was taken off.
         coefficients, covariance: (p,) and (p, p) of cosine and sine of each order, then the play; with what
             poses at one angle of the dial have in common that the orders do not explain.
         backlash: reading after upward moves less that after downward moves, and its standard error.
@@ -86,6 +101,10 @@ class Mapped:
     stage_deg: FloatArray
     error_deg: FloatArray
     std_deg: FloatArray
+    orders: tuple[float, ...]
+    regions: tuple[Region, ...]
+    gaps_deg: tuple[tuple[float, float], ...]
+    mean_deg: float
     coefficients: FloatArray
     covariance: FloatArray
     harmonics: tuple[Harmonic, ...]
@@ -94,28 +113,43 @@ class Mapped:
     mounts_std_deg: FloatArray
 
 
-def mapped(fit: Fit) -> Mapped:
-    """The map and the mounts of a joint fit."""
+def mapped(solution: Solution) -> Mapped:
+    """The map and the mounts of a joint solution."""
+    fit = solution.fit
     problem, at = fit.problem, fit.problem.map_at
-    dial = dial_grid_deg(problem.table.dial_deg[fit.kept])
+    visited = problem.table.dial_deg[fit.kept | inside_regions(problem.table.dial_deg, solution.regions)]
+    gaps = undetermined_gaps(visited)
+    dial = dial_grid_deg(visited)
     columns = basis(dial, np.zeros(len(dial)), problem.orders)
-    mean = columns.mean(axis=0)
+    if gaps:
+        dial = np.union1d(dial, visited[(visited >= dial[0]) & (visited <= dial[-1])])
+        columns = basis(dial, np.zeros(len(dial)), problem.orders)
+    unknown = inside_gaps(dial, gaps)
+    mean = columns[~unknown].mean(axis=0)
     coefficients = np.degrees(fit.parameters[at])
     of_fit = fit.covariance_at(np.arange(fit.problem.size)[at]) + covariance_of_misfit(fit)
     covariance = np.degrees(np.degrees(of_fit))
     variance = np.einsum("gi,ij,gj->g", columns - mean, covariance, columns - mean)
+    variance = np.maximum(variance, 0.0) + local_variance_deg2(solution.regions, dial)
+    if solution.gear is not None:
+        variance += 0.5 * solution.gear.amplitude_deg**2
     mounts = np.zeros((len(problem.table.mounts), problem.size))
     mounts[:, problem.mounts_at] = np.eye(len(mounts))
     mounts[:, at] = mean
     of_mounts = np.diag(fit.covariance_of(mounts))
     noise_deg = float(np.degrees(fit.noise))
     play = float(coefficients[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
+    orders, series, whole = _with_gear(problem.orders, coefficients, covariance, solution.gear)
     return Mapped(
         stage_deg=dial,
-        error_deg=(columns - mean) @ coefficients,
-        std_deg=np.sqrt(np.maximum(variance, 0.0)),
-        coefficients=coefficients,
-        covariance=covariance,
+        error_deg=np.where(unknown, np.nan, (columns - mean) @ coefficients),
+        std_deg=np.where(unknown, np.nan, np.sqrt(variance)),
+        orders=orders,
+        regions=solution.regions,
+        gaps_deg=gaps,
+        mean_deg=float(mean @ coefficients),
+        coefficients=series,
+        covariance=whole,
         harmonics=tuple(
             _harmonic(order, coefficients[pair], covariance[pair, pair], noise_deg)
             for order, pair in _pairs(problem.orders)
@@ -126,6 +160,24 @@ def mapped(fit: Fit) -> Mapped:
     )
 
 
+def _with_gear(
+    orders: tuple[float, ...], coefficients: FloatArray, covariance: FloatArray, gear: Gear | None
+) -> tuple[tuple[float, ...], FloatArray, FloatArray]:
+    """The series with a wave of unknown phase for a gear nobody stated: coefficients of 0, and its variance.
+
+    Of a whole order, so that the map stays one of the turn; the variance has no phase.
+    """
+    if gear is None:
+        return orders, coefficients, covariance
+    n = len(coefficients) - 1
+    longer = np.concatenate([coefficients[:n], [0.0, 0.0], coefficients[n:]])
+    wider = np.zeros((n + 3, n + 3))
+    own = np.r_[np.arange(n), n + 2]
+    wider[np.ix_(own, own)] = covariance
+    wider[n, n] = wider[n + 1, n + 1] = 0.5 * gear.amplitude_deg**2
+    return (*orders, float(round(TURN_DEG / gear.period_deg))), longer, wider
+
+
 def _pairs(orders: Sequence[float]) -> Iterator[tuple[float, slice]]:
     """Each order with the places of its cosine and sine."""
     return ((order, slice(2 * k, 2 * k + 2)) for k, order in enumerate(orders))
@@ -133,6 +185,6 @@ def _pairs(orders: Sequence[float]) -> Iterator[tuple[float, slice]]:
 
 def _harmonic(order: float, pair: FloatArray, covariance: FloatArray, noise_deg: float) -> Harmonic:
     """Of cosine and sine; the standard error is that of the wave, root mean square over its phase."""
-    std_deg = float(np.sqrt(0.5 * np.trace(covariance)))
+    std_deg = float(np.sqrt(max(0.5 * np.trace(covariance), 0.0)))
     phase_deg = float(np.degrees(np.arctan2(pair[0], pair[1]))) % TURN_DEG
     return Harmonic(float(order), float(np.hypot(*pair)), phase_deg, std_deg, std_deg < noise_deg)

@@ -7,7 +7,6 @@ mg that is remounted by 1°. A day may change its scale. Every other difference 
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +24,16 @@ ALARM = 0.0027
 """One false alarm in 370 checks, as a check unit's chart has them (`control_chart.RIG_CHART`)."""
 HIGHEST_ORDER = 3
 STEP_DEG = 0.5
+CORRELATIONS = tuple(np.arange(0.0, 0.96, 0.05).tolist())
+PRIOR_POWER = 0.75
+"""As of `correlated_errors`."""
+LEAST_VARIANCE_DEG2 = 1e-12
+OWN_BIAS_DEG = 0.2
+"""By which a unit's bias may change without a remounting, as from temperature."""
+LARGEST_DEG = np.array([20.0, 9.0, 9.0, 3.0, 3.0, 0.5, 0.5])
+"""Constant and orders 1 to 3 of a unit's error: offsets of 150 mg, gains and curvatures of 5 to 10 %."""
+ORDERS = (2, 4, 6)
+POWER = 0.9
 FAR = 3.0
 """Standard deviations from which on a place is named."""
 
@@ -34,15 +43,17 @@ class MapCheck:
     """The validity of a map.
 
     Attributes:
-        p_value: that noise, and what the map may be off by its own covariance, differ so much or more.
+        p_value: that noise differs so much or more.
         at_deg: angles of the dial where it is off by more than three standard deviations.
         largest_deg: largest difference, what clamping and scale may do taken off, and `largest_at_deg` where.
+        seen_from_deg: size, root mean square, from which such runs show a change of each of `ORDERS`.
     """
 
     p_value: float
     at_deg: tuple[float, ...]
     largest_deg: float
     largest_at_deg: float
+    seen_from_deg: tuple[float, ...] = ()
 
     @property
     def has_moved(self) -> bool:
@@ -54,12 +65,15 @@ def checked(now: Sequence[Pose], before: Sequence[Pose], stage_map: StageMap) ->
     """Compare a unit's poses with earlier ones of the same clamping angle.
 
     With d the differences (K,) of the mean errors at the places of the dial that both visited, by approach,
-    their covariance S = σ²·diag(1/n + 1/m) + B·V·Bᵀ (σ² pooled from within the places; V the map's, B its
-    columns: what the map was said to be off by is no movement), and X = [1 θ e'(θ)] free,
+    C their covariance (of noise of σ², pooled from within the places), and X = [1 + e'(θ)  θ] free,
 
-        q = dᵀ(S⁻¹ − S⁻¹X(XᵀS⁻¹X)⁻¹XᵀS⁻¹)d,    q/(K − 3) ~ F(K − 3, ν)
+        q = dᵀ(C⁻¹ − C⁻¹X(XᵀC⁻¹X)⁻¹XᵀC⁻¹)d,    q/(K − 2) ~ F(K − 2, ν)
 
-    with ν the degrees of freedom of σ².
+    with ν the degrees of freedom of σ². A remounting by Δ moves the bias by Δ and the curve by e'·Δ. C also
+    holds what a bias that changed by itself (`OWN_BIAS_DEG`) and the error of e' make of that. The map's own
+    error is not in C: the stage is compared with itself, and whatever the map is off by cancels. The noise of
+    a run is a first-order autoregression of correlation ρ; the p-value is its mean over ρ, weighted by the
+    restricted likelihood and a prior that falls as (1 − ρ)^0.75.
 
     Args:
         now: of one run that counts.
@@ -72,47 +86,139 @@ def checked(now: Sequence[Pose], before: Sequence[Pose], stage_map: StageMap) ->
     """
     from scipy.special import fdtrc
 
-    here, there = _by_place(now), _by_place(before)
-    places = sorted(here.keys() & there.keys())
-    freedom = sum(len(e) - 1 for errors in (here, there) for e in errors.values())
-    if len(places) < FEWEST_PLACES or freedom < FEWEST_REPEATS:
+    runs = [_of_places(now), _of_places(before)]
+    shared = sorted(set(runs[0].places) & set(runs[1].places))
+    freedom = sum(len(run.error_deg) - len(run.places) for run in runs)
+    if len(shared) < FEWEST_PLACES or freedom < FEWEST_REPEATS:
         return None
-    squares = sum(float(np.var(e)) * len(e) for errors in (here, there) for e in errors.values())
-    dial, approach = np.array(places, dtype=np.float64).T
-    dial *= PLACE_DEG
-    difference = wrap_deg(np.array([np.mean(here[k]) - np.mean(there[k]) for k in places]))
-    columns = stage_map.columns(dial, approach)
-    covariance = columns @ stage_map.covariance_deg2 @ columns.T
-    covariance += np.diag([squares / freedom * (1 / len(here[k]) + 1 / len(there[k])) for k in places])
-    design = np.column_stack([np.ones(len(dial)), dial, _slope(before, stage_map, dial)])
-    left, q = _without(design, difference, covariance)
-    free = len(places) - design.shape[1]
+    dial = PLACE_DEG * np.array([place for place, _ in shared], dtype=np.float64)
+    slope, of_slope = _slope(before, stage_map, dial, _pooled(runs, freedom))
+    design = np.column_stack([1.0 + slope, dial])
+    free = len(shared) - design.shape[1]
+    weights, p_values, fits = [], [], []
+    for rho in CORRELATIONS:
+        here, there = (_means(run, rho) for run in runs)
+        difference = wrap_deg(here.mean_deg[_at(runs[0], shared)] - there.mean_deg[_at(runs[1], shared)])
+        spread = sum(
+            means.covariance[np.ix_(_at(run, shared), _at(run, shared))]
+            for means, run in ((here, runs[0]), (there, runs[1]))
+        )
+        moved = float(difference.mean())
+        by_slope = OWN_BIAS_DEG**2 * np.outer(slope, slope) + moved**2 * of_slope
+        variance = max((here.squares + there.squares) / freedom, LEAST_VARIANCE_DEG2)
+        covariance = variance * np.asarray(spread) + by_slope
+        left, q = _without(design, difference, covariance)
+        p_values.append(float(fdtrc(free, freedom, q / free)))
+        weights.append(
+            PRIOR_POWER * np.log1p(-rho)
+            - 0.5 * (here.log_determinant + there.log_determinant + freedom * np.log(variance))
+        )
+        fits.append((left, covariance))
+    weight = np.exp(np.array(weights) - max(weights))
+    left, covariance = fits[int(np.argmax(weight))]
     std = np.sqrt(np.diag(covariance))
     largest = int(np.argmax(np.abs(left)))
     return MapCheck(
-        p_value=float(fdtrc(free, freedom, q / free)),
+        p_value=float(weight @ p_values / weight.sum()),
         at_deg=tuple(np.unique(dial[np.abs(left) > FAR * std]).tolist()),
         largest_deg=float(left[largest]),
         largest_at_deg=float(dial[largest]),
+        seen_from_deg=_seen_from_deg(design, dial, covariance, freedom),
     )
 
 
-def _by_place(poses: Sequence[Pose]) -> dict[tuple[int, int], list[float]]:
-    """Errors of the reading by angle of the dial, in steps, and approach."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    """A run's errors (n,) in the order measured, its places, and (n, places) which pose stands at which."""
+
+    error_deg: FloatArray
+    places: tuple[tuple[int, int], ...]
+    design: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Means:
+    """Mean of each place (K,), covariance (K, K) and weighted squares left over the noise's variance."""
+
+    mean_deg: FloatArray
+    covariance: FloatArray
+    squares: float
+    log_determinant: float
+
+
+def _of_places(poses: Sequence[Pose]) -> _Run:
+    """Errors of the reading, and the places: angle of the dial, in steps, and approach."""
     dial, approach = dial_of(poses)
-    found: dict[tuple[int, int], list[float]] = defaultdict(list)
-    for pose, place, sense in zip(poses, np.rint(dial / PLACE_DEG).tolist(), approach.tolist(), strict=True):
-        found[int(place), int(sense)].append(float(wrap_deg(pose.reading_deg - pose.dial_deg)))
-    return found
+    rounded = np.rint(dial / PLACE_DEG).astype(int).tolist()
+    of_pose = list(zip(rounded, approach.astype(int).tolist(), strict=True))
+    places = tuple(sorted(set(of_pose)))
+    design = np.zeros((len(of_pose), len(places)))
+    design[np.arange(len(of_pose)), [places.index(place) for place in of_pose]] = 1.0
+    error = wrap_deg(np.array([pose.reading_deg for pose in poses]) - dial)
+    # whole turns between the poses of a place would be its scatter
+    return _Run(np.asarray(error[0] + wrap_deg(error - error[0])), places, design)
 
 
-def _slope(poses: Sequence[Pose], stage_map: StageMap, dial_deg: FloatArray) -> FloatArray:
-    """(K,) slope of the unit's own errors at angles of the dial, degrees a degree."""
+def _at(run: _Run, shared: Sequence[tuple[int, int]]) -> list[int]:
+    return [run.places.index(place) for place in shared]
+
+
+def _means(run: _Run, rho: float) -> _Means:
+    """Generalised least squares of the places' means in noise of this correlation."""
+    design, error = _innovations(run.design, rho), _innovations(run.error_deg, rho)
+    information = design.T @ design
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    mean = covariance @ (design.T @ error)
+    left = error - design @ mean
+    logs = (len(error) - 1) * np.log1p(-(rho**2)) + np.linalg.slogdet(information)[1]
+    return _Means(mean, covariance, float(left @ left), float(logs))
+
+
+def _innovations(columns: FloatArray, rho: float) -> FloatArray:
+    """(n, …) what each pose has that its correlation with the one before does not tell, of unit variance."""
+    white = columns.copy()
+    white[1:] = (columns[1:] - rho * columns[:-1]) / np.sqrt(1.0 - rho**2)
+    return white
+
+
+def _seen_from_deg(
+    design: FloatArray, dial_deg: FloatArray, covariance: FloatArray, freedom: int
+) -> tuple[float, ...]:
+    """Size, root mean square, from which a change of each of `ORDERS` is seen in `POWER` of cases."""
+    from scipy.special import fdtri, ncfdtrinc
+
+    free = len(dial_deg) - design.shape[1]
+    limit = float(fdtri(free, freedom, 1.0 - ALARM))
+    needed = float(ncfdtrinc(free, freedom, 1.0 - POWER, limit))
+    sizes = []
+    for order in ORDERS:
+        turn = np.radians(order * dial_deg)
+        gains = [_without(design, wave, covariance)[1] for wave in (np.cos(turn), np.sin(turn))]
+        sizes.append(float(np.sqrt(needed / max(sum(gains), np.finfo(np.float64).tiny))))
+    return tuple(sizes)
+
+
+def _pooled(runs: Sequence[_Run], freedom: int) -> float:
+    """Variance within the places, as of uncorrelated noise."""
+    return sum(_means(run, 0.0).squares for run in runs) / freedom
+
+
+def _slope(
+    poses: Sequence[Pose], stage_map: StageMap, dial_deg: FloatArray, noise_deg2: float
+) -> tuple[FloatArray, FloatArray]:
+    """(K,) slope of the unit's own errors at angles of the dial, degrees a degree, and (K, K) covariance.
+
+    A Bayesian fit: the largest errors of available parts are known before the data.
+    """
     dial, approach = dial_of(poses)
     reading = np.array([pose.reading_deg for pose in poses])
     error = wrap_deg(reading - dial - stage_map.correction_deg(dial, approach))
-    series, *_ = np.linalg.lstsq(_waves(dial), wrap_deg(error - error[0]), rcond=None)
-    return np.asarray((_waves(dial_deg + STEP_DEG) - _waves(dial_deg - STEP_DEG)) @ series / (2 * STEP_DEG))
+    of_pose = max(noise_deg2, LEAST_VARIANCE_DEG2) + np.mean(stage_map.stds_deg(dial, approach) ** 2)
+    waves = _waves(dial)
+    covariance = np.linalg.inv(waves.T @ waves / of_pose + np.diag(1.0 / LARGEST_DEG**2))
+    series = covariance @ (waves.T @ wrap_deg(error - error[0])) / of_pose
+    by_series = (_waves(dial_deg + STEP_DEG) - _waves(dial_deg - STEP_DEG)) / (2 * STEP_DEG)
+    return np.asarray(by_series @ series), np.asarray(by_series @ covariance @ by_series.T)
 
 
 def _waves(dial_deg: FloatArray) -> FloatArray:
@@ -122,7 +228,7 @@ def _waves(dial_deg: FloatArray) -> FloatArray:
 
 
 def _without(design: FloatArray, difference: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float]:
-    """(K,) what the columns of a design (K, 3) leave at best, and its square by the covariance."""
+    """(K,) what the columns of a design (K, 2) leave at best, and its square by the covariance."""
     root = np.linalg.cholesky(covariance)
     white = np.linalg.solve(root, np.column_stack([design, difference]))
     found = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0]

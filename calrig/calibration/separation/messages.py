@@ -11,11 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calrig.calibration.separation.gyro import WholeGyro
-from calrig.calibration.separation.lack_of_fit import misfits, unstated_gear
+from calrig.calibration.separation.lack_of_fit import misfits
 from calrig.calibration.separation.least_squares import Fit, fitted
 from calrig.calibration.separation.map_report import Mapped, common_variance
-from calrig.calibration.separation.solution import Solution
-from calrig.calibration.separation.stage_map import SAME_DIAL_DEG, TURN_DEG, goes_round, widest_gap_deg
+from calrig.calibration.separation.solution import HARDLY_NOISE, Solution
+from calrig.calibration.separation.stage_map import (
+    SAME_DIAL_DEG,
+    TURN_DEG,
+    WIDEST_GAP_DEG,
+    goes_round,
+    widest_gap_deg,
+)
 from calrig.calibration.separation.unit_results import (
     Frame,
     axes_of,
@@ -31,8 +37,6 @@ APART_DEG, APART_NOISES = 0.05, 3.0
 """From where a reading is said not to be the accelerometer's angle."""
 LOUD_DEG = 0.3
 """Noise of a dwell of a second is a tenth of that or less in any part on sale."""
-HARDLY_NOISE = 0.85
-"""Correlation from pose to pose, seconds apart, beyond which something moved."""
 CONTRADICTS = 1e-3
 """Chance of quadratic and cubic terms as large in units that have none."""
 LEAST_IDENTIFIED = 0.5
@@ -70,6 +74,7 @@ def messages_of(
         found = _of_linear(solution)
         for unit, gyro in zip(units, gyros, strict=True):
             found += [*_of_accelerometer(solution, unit, frame), *_of_gyro(solution.table.units[unit], gyro)]
+        found += [*_of_regions(solution), *_of_gaps(on_stage)]
         return [*found, *_of_mounts(solution, on_stage), *_of_dial(solution), *_of_unidentifiable(solution)]
     found = [_not_separable(solution, unit) for unit in units if not solution.is_separable(unit)]
     if solution.noise_deg > LOUD_DEG:
@@ -82,9 +87,10 @@ def messages_of(
             f"what the poses leave is correlated by {solution.fit.problem.correlation:.2f} from one to "
             "the next: more as a lack of fit than as noise"
         )
-    found += [*_of_misfits(solution), *_of_gear(solution), *_of_levels(solution)]
+    found += [*_of_misfits(solution), *_of_regions(solution), *_of_gear(solution), *_of_levels(solution)]
     found += [*_of_linear(solution), *_of_mounts(solution, on_stage), *_of_sources(solution)]
-    found += [*_of_dial(solution), *_of_angles(solution, on_stage), *_of_unidentifiable(solution)]
+    found += [*_of_dial(solution), *_of_gaps(on_stage), *_of_angles(solution, on_stage)]
+    found += _of_unidentifiable(solution)
     return [*found, *_of_columns(solution), *_of_readings(solution)]
 
 
@@ -170,17 +176,55 @@ def _of_misfits(solution: Solution) -> list[str]:
     p_value = min(test.p_value for test in found)
     return [
         f"{named} does not fit the others (by noise alone in {p_value:.1g} of cases), most as if {causes}: "
-        "no standard error here allows for that"
+        + _allowed(solution)
     ]
 
 
+def _allowed(solution: Solution) -> str:
+    """State what the standard errors allow for between mounts; the unit's offsets are its first mount's."""
+    spread = solution.fit.problem.spread
+    parts = [
+        f"{size:.2g} {what}"
+        for size, what in (
+            (1e3 * spread.offset_g, "mg in the offsets of a mount (the unit's are those of its first mount)"),
+            (1e3 * spread.askew, "mrad in its gains and skew, as of a seat askew"),
+            (float(np.degrees(spread.map_rad)), "° in each coefficient of its map"),
+        )
+        if size > 0.0
+    ]
+    return (
+        f"the standard errors allow for {', '.join(parts)}" if parts else "no standard error allows for that"
+    )
+
+
 def _of_gear(solution: Solution) -> list[str]:
-    gear = unstated_gear(solution.fit)
+    gear = solution.gear
     if gear is None:
         return []
     return [
         f"what the poses leave repeats every {gear.period_deg:.2g}° of the dial, by {gear.amplitude_deg:.2g}°"
-        f" (by noise alone in {gear.p_value:.1g} of cases): if that is a gear, state its period (--period)"
+        f" (by noise alone in {gear.p_value:.1g} of cases): if that is a gear, state its period (--period); "
+        "until then the map's standard errors hold its amplitude"
+    ]
+
+
+def _of_regions(solution: Solution) -> list[str]:
+    """Report parts of the dial where neighbouring poses are off together."""
+    return [
+        f"poses from {region.from_deg:.4g}° to {region.to_deg:.4g}° of the dial are off together, by up to "
+        f"{region.std_deg:.2g}°: check the stage there for a damaged tooth; they were left out, and "
+        "the map's standard error there is as large"
+        for region in solution.regions
+    ]
+
+
+def _of_gaps(on_stage: Mapped) -> list[str]:
+    """Report that the map is null between visited angles."""
+    if not on_stage.gaps_deg:
+        return []
+    return [
+        f"the map is not determined between visited angles that are more than {WIDEST_GAP_DEG:g}° apart "
+        f"({len(on_stage.gaps_deg)} gaps), and null there: take poses at more angles (jitter)"
     ]
 
 

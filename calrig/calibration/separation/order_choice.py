@@ -21,14 +21,16 @@ from calrig.calibration.separation.accelerometer import OF_CUBIC, OF_LINEAR
 from calrig.calibration.separation.least_squares import Fit
 from calrig.calibration.separation.pose_table import BoolArray, Intp
 from calrig.calibration.separation.problem import Problem
-from calrig.calibration.separation.stage_map import resolved_orders
+from calrig.calibration.separation.stage_map import LARGEST_RAD, basis, resolved_orders
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.05
 """Family-wise: the chance that noise alone brings any order into the map."""
 DRAWS = 4000
 SEED = 0
-SPARE_AN_ORDER = 8
+SPARE_A_TERM = 4
+LEAST_SEEN_RAD = np.radians(0.03)
+"""Noise of a pose, about which it is known how many terms the angles tell apart."""
 FEWEST_SPARE = 4
 """Poses beside those that the parameters take up: the noise is found from them."""
 IDENTIFIABLE = 1e-4
@@ -74,8 +76,21 @@ def offered(problem: Problem) -> tuple[float, ...]:
             f"{len(problem.table)} poses are too few for {needed} parameters of stage, mounts and units: "
             "take more of each mount"
         )
-    more = [order for order in resolved_orders(problem.table.dial_deg) if order not in problem.orders]
-    return tuple(sorted({*problem.orders, *more[: spare // SPARE_AN_ORDER]}))
+    more = [order for order in resolved_orders(table.dial_deg) if order not in problem.orders]
+    dial = np.unique(table.dial_deg)
+    always_told = _terms(dial, problem.orders)
+    for n in range(len(more), 0, -1):
+        orders = tuple(sorted({*problem.orders, *more[:n]}))
+        if SPARE_A_TERM * (_terms(dial, orders) - always_told) <= spare:
+            return orders
+    return problem.orders
+
+
+def _terms(dial_deg: FloatArray, orders: Sequence[float]) -> int:
+    """How many of a map's terms differ at these angles by more than a pose is measured to."""
+    columns = basis(dial_deg, np.zeros(len(dial_deg)), orders)
+    size = np.linalg.svd(columns, compute_uv=False)
+    return int((size * LARGEST_RAD > LEAST_SEEN_RAD).sum())
 
 
 def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:

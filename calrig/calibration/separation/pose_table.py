@@ -16,7 +16,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.poses import DiagnosisError, Pose, complete, refuse_what_is_no_elevation
+from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose, complete, refuse_what_is_no_elevation
 from calrig.calibration.regression.motion import approach_of, has_history
 from calrig.calibration.regression.terms import LEAST_TEMPERATURE_RANGE_C
 from calrig.calibration.separation.clamping import FACES, face_matrix
@@ -66,6 +66,37 @@ class MountedPoses:
     source: str
     poses: Sequence[Pose]
     axis: str = "x"
+
+    @classmethod
+    def of_run(
+        cls,
+        poses: Sequence[Pose],
+        *,
+        unit: str,
+        run_id: str,
+        name: str,
+        axis: str,
+        planned_deg: Sequence[float],
+    ) -> list[MountedPoses]:
+        """Return the poses of a run, by mounting: at the angle of each pose, else at the only one planned.
+
+        Args:
+            poses: those included.
+            unit: serial number.
+            run_id: of the run.
+            name: of the run, in labels.
+            axis: which of the unit's axes lies along the stage's.
+            planned_deg: mounting angles of the plan.
+        """
+        lots: dict[float | None, list[Pose]] = {}
+        for pose in poses:
+            own = pose.covariates.get(MOUNT_DEG)
+            bare = replace(pose, covariates={k: v for k, v in pose.covariates.items() if k != MOUNT_DEG})
+            alone = float(planned_deg[0]) if own is None and len(planned_deg) == 1 else own
+            lots.setdefault(alone, []).append(bare)
+        return [
+            cls(unit, f"{name} {angle or 0.0:g}°", angle, run_id, own, axis) for angle, own in lots.items()
+        ]
 
     @property
     def sense(self) -> int:

@@ -1,10 +1,10 @@
 """Stage, mounts and units as one vector of parameters, and its normal equations, gathered mount by mount.
 
-Parameters in their order: those of each unit, two tilts of each mount, the dip of the stage's axis, an angle
-of each mount, a cosine and a sine of each order of the map, and the backlash; radians and g. Of whole units
-all 18 parameters are there. Of units in the plane those that a rotation about x shows (`IN_PLANE`), and
-neither tilts nor dip: they are fixed at 0. A pose touches its own unit, its own mount and the stage alone, so
-that many units cost no more than their poses.
+Parameters in their order: those of each unit, two tilts of each mount, the dip of the stage's axis, what each
+mount has of its own (`DEVIATIONS`), an angle of each mount, a cosine and a sine of each order of the map, and
+the backlash; radians and g. Of whole units all 21 parameters are there. Of units in the plane those that a
+rotation about x shows (`IN_PLANE`), and neither tilts nor dip: they are fixed at 0. A pose touches its own
+unit, its own mount and the stage alone, so that many units cost no more than their poses.
 
 With each unit's frame its own sensor's, and each mount free to turn, nothing is left that data could not tell
 in principle.
@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calrig.calibration.separation.accelerometer import (
+    BIAS,
     CUBIC,
     GAIN,
     IN_PLANE,
@@ -24,6 +25,8 @@ from calrig.calibration.separation.accelerometer import (
     NAMES,
     PER_C,
     QUADRATIC,
+    QUARTIC,
+    SKEW,
     WIDTH,
     SensedVector,
     sensed_vector,
@@ -39,7 +42,34 @@ LARGEST_TILT_RAD = np.radians(10.0)
 """A sensor in its case, and the case on its seat."""
 LARGEST_DIP_RAD = np.radians(5.0)
 TILTS = 2
+MOVED_ORDERS = (1.0, 2.0)
+"""Orders by which the map of one mount may differ from the map of all."""
+OWN = np.array([BIAS.start + 1, BIAS.start + 2, GAIN.start + 1, GAIN.start + 2, SKEW.stop - 1])
+"""What a mount has of its own of an accelerometer: offsets, by strain; gains and skew, by a seat askew."""
+OWN_OFFSETS = 2
+DEVIATIONS = len(OWN) + 2 * len(MOVED_ORDERS)
+"""Of a mount: `OWN`, then cosine and sine of each order of its own map."""
 _QUADRATIC_TO_CUBIC = slice(QUADRATIC.start, CUBIC.stop)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Standard deviations of what may differ from the plain model; 0 of what does not enter it.
+
+    Attributes:
+        offset_g: of a mount's own offset of an axis about the unit's.
+        askew: of a mount's own gains and skew about the unit's, as of a seat that is askew.
+        map_rad: of each coefficient of a mount's own map about the map of all.
+        quartic_g: of a unit's quartic terms.
+    """
+
+    offset_g: float = 0.0
+    askew: float = 0.0
+    map_rad: float = 0.0
+    quartic_g: float = 0.0
+
+
+PLAIN = Spread()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +80,7 @@ class Problem:
         orders: of the map; whole numbers, or 360° over a gear's period.
         linear: whether the units are stated to be linear.
         correlation: of the noise from one pose of a mount to the next.
+        spread: of what differs between mounts, and of quartic terms; only of units in the plane.
         shape: (units, c) noise of each component over that of all, root mean square; None of equal ones.
         columns: (n, 2m + 1) of the map.
         free: (p,) which parameters are to be found; the others are fixed at 0.
@@ -61,6 +92,7 @@ class Problem:
     orders: tuple[float, ...]
     linear: bool = False
     correlation: float = 0.0
+    spread: Spread = PLAIN
     shape: FloatArray | None = None
     columns: FloatArray = field(init=False, repr=False)
     free: BoolArray = field(init=False, repr=False)
@@ -71,7 +103,13 @@ class Problem:
         columns = basis(self.table.dial_deg, self.table.approach, self.orders)
         object.__setattr__(self, "columns", columns)
         own = (
-            np.r_[self.unit_at(mount.unit), self.tilts_at(k), self.dip_at, self.first_mount + k]
+            np.r_[
+                self.unit_at(mount.unit),
+                self.tilts_at(k),
+                self.dip_at,
+                self.deviations_at(k),
+                self.first_mount + k,
+            ]
             for k, mount in enumerate(self.table.mounts)
         )
         object.__setattr__(self, "own", tuple(own))
@@ -82,7 +120,7 @@ class Problem:
 
     @property
     def of_unit(self) -> Intp:
-        """Which of an accelerometer's 18 parameters a unit has."""
+        """Which of an accelerometer's 21 parameters a unit has."""
         return np.arange(WIDTH) if self.table.is_whole else IN_PLANE
 
     def unit_at(self, unit: int) -> slice:
@@ -103,9 +141,29 @@ class Problem:
         return slice(first, first + TILTS * self.table.is_whole)
 
     @property
+    def n_deviations(self) -> int:
+        """Parameters by which a mount may differ from the others; none of whole units."""
+        return 0 if self.table.is_whole else DEVIATIONS
+
+    def deviations_at(self, mount: int) -> slice:
+        """Places of one mount's own offsets and of its own map."""
+        first = int(self.dip_at.stop) + self.n_deviations * mount
+        return slice(first, first + self.n_deviations)
+
+    def first_mount_of(self, unit: int) -> int:
+        """Index of the mount whose offsets are the unit's."""
+        return next(k for k, mount in enumerate(self.table.mounts) if mount.unit == unit)
+
+    def touched_by(self, unit: int) -> Intp:
+        """Places of a unit's parameters, its first mount's own offsets among them."""
+        own = self.deviations_at(self.first_mount_of(unit))
+        n_own = min(OWN_OFFSETS, self.n_deviations)
+        return np.concatenate([np.r_[self.unit_at(unit)], own.start + np.arange(n_own)])
+
+    @property
     def first_mount(self) -> int:
         """Place of the first mount's angle."""
-        return int(self.dip_at.stop)
+        return int(self.dip_at.stop) + self.n_deviations * len(self.table.mounts)
 
     @property
     def first_order(self) -> int:
@@ -140,13 +198,20 @@ class Problem:
             return f"{NAMES[self.of_unit[place % width]]}{whose}"
         if place < self.dip_at.start:
             return f"tilt of mount {table.mounts[(place - width * len(table.units)) // TILTS].name}"
-        if place < self.first_mount:
+        if place < self.dip_at.stop:
             return "level of the stage's axis"
         if place < self.first_order:
-            return f"angle of mount {table.mounts[place - self.first_mount].name}"
+            return self._title_of_mount(place)
         if place == self.size - 1:
             return "the play"
         return f"order {self.orders[(place - self.first_order) // 2]:g} of the stage"
+
+    def _title_of_mount(self, place: int) -> str:
+        if place >= self.first_mount:
+            return f"angle of mount {self.table.mounts[place - self.first_mount].name}"
+        mount, which = divmod(place - self.dip_at.stop, self.n_deviations)
+        what = "own offset" if which < OWN_OFFSETS else "seat" if which < len(OWN) else "own map"
+        return f"{what} of mount {self.table.mounts[mount].name}"
 
     # --- What is known of them before the data ---
 
@@ -158,7 +223,9 @@ class Problem:
         own[:, GAIN.stop - 1] = np.bincount(table.unit, table.has_vector, minlength=n_units) > 0
         own[:, _QUADRATIC_TO_CUBIC] = not self.linear
         own[:, PER_C] = np.isfinite(table.reference_c)[:, None]
+        own[:, QUARTIC] = self.spread.quartic_g > 0.0
         free[: width * n_units] = own[:, self.of_unit].ravel()
+        free[self.dip_at.stop : self.first_mount] = self._of_deviations() > 0.0
         free[-1] = len(np.unique(table.approach[table.approach != 0.0])) > 1
         return free
 
@@ -167,8 +234,23 @@ class Problem:
             return (np.flatnonzero(self.free[: self.first_order]),)
         units = np.array([mount.unit for mount in self.table.mounts], dtype=np.intp)
         by_unit = np.split(np.argsort(units, kind="stable"), np.cumsum(np.bincount(units))[:-1])
-        places = (np.r_[self.unit_at(unit), self.first_mount + mounts] for unit, mounts in enumerate(by_unit))
+        places = (
+            np.concatenate(
+                [
+                    np.r_[self.unit_at(unit)],
+                    *(np.r_[self.deviations_at(int(mount))] for mount in mounts),
+                    self.first_mount + mounts,
+                ]
+            )
+            for unit, mounts in enumerate(by_unit)
+        )
         return tuple(at[self.free[at]] for at in places)
+
+    def _of_deviations(self) -> FloatArray:
+        """(mounts·k,) how far each may be from 0."""
+        counts = OWN_OFFSETS, len(OWN) - OWN_OFFSETS, DEVIATIONS - len(OWN)
+        one = np.repeat([self.spread.offset_g, self.spread.askew, self.spread.map_rad], counts)
+        return np.tile(one[: self.n_deviations], len(self.table.mounts))
 
     def widths(self) -> FloatArray:
         """(p,) how large each may be: what is known of it before the data, as a standard deviation."""
@@ -180,8 +262,12 @@ class Problem:
             (LARGEST_RAD, 2 * len(self.orders)),
             (LARGEST_BACKLASH_RAD, 1),
         )
-        of_units = np.tile(LARGEST[self.of_unit], len(table.units))
-        return np.concatenate([of_units, *(np.full(count, width) for width, count in counts)])
+        largest = LARGEST.copy()
+        largest[QUARTIC] = self.spread.quartic_g or LARGEST[QUARTIC]
+        parts = [np.tile(largest[self.of_unit], len(table.units))]
+        parts += [np.full(count, width) for width, count in counts]
+        own = self._of_deviations()
+        return np.concatenate([*parts[:3], np.where(own > 0.0, own, 1.0), *parts[3:]])
 
     def start(self) -> FloatArray:
         """(p,) where to begin: faultless units, squarely clamped, sized and turned as their poses are."""
@@ -199,23 +285,44 @@ class Problem:
     # --- What is expected of the poses ---
 
     def accelerometers(self, parameters: FloatArray) -> FloatArray:
-        """(units, 18) of each unit, 0 of what is fixed."""
+        """(units, 21) of each unit, 0 of what is fixed."""
         found = np.zeros((len(self.table.units), WIDTH))
         found[:, self.of_unit] = parameters[: found.shape[0] * len(self.of_unit)].reshape(len(found), -1)
         return found
 
     def accelerometer(self, parameters: FloatArray, unit: int) -> FloatArray:
-        """(18,) of one unit."""
+        """(21,) of one unit, its offsets those of its first mount."""
         found = np.zeros(WIDTH)
         found[self.of_unit] = parameters[self.unit_at(unit)]
+        own = parameters[self.deviations_at(self.first_mount_of(unit))][:OWN_OFFSETS]
+        found[BIAS][3 - len(own) :] += own
         return found
 
     def turns(self, parameters: FloatArray) -> FloatArray:
         """(n,) the table's turn at each pose, from where gravity is the mount's third axis, rad."""
         on_map = self.columns @ parameters[self.map_at]
+        if self.spread.map_rad > 0.0:
+            own = self._deviations(parameters)[self.table.mount, len(OWN) :]
+            on_map = on_map + np.einsum("nk,nk->n", self._moved(), own)
         return np.asarray(
             np.radians(self.table.dial_deg) + on_map + parameters[self.mounts_at][self.table.mount]
         )
+
+    def _deviations(self, parameters: FloatArray) -> FloatArray:
+        """(mounts, k) of each."""
+        own = parameters[self.dip_at.stop : self.first_mount]
+        return own.reshape(len(self.table.mounts), self.n_deviations)
+
+    def _moved(self) -> FloatArray:
+        """(n, k) columns of a mount's own map."""
+        return basis(self.table.dial_deg, np.zeros(len(self.table)), MOVED_ORDERS)[:, :-1]
+
+    def _own(self, parameters: FloatArray) -> FloatArray:
+        """(n, 21) of each pose's unit as it is in its mount."""
+        found = self.accelerometers(parameters)[self.table.unit]
+        if self.n_deviations:
+            found[:, OWN] += self._deviations(parameters)[self.table.mount, : len(OWN)]
+        return found
 
     def clamped(self, parameters: FloatArray, mount: int) -> FloatArray:
         """(3, 3) from the table's frame to the sensor's; its first column is the stage's axis."""
@@ -230,7 +337,7 @@ class Problem:
 
     def expected(self, parameters: FloatArray) -> SensedVector:
         """The vector of each pose."""
-        own = self.accelerometers(parameters)[self.table.unit]
+        own = self._own(parameters)
         return sensed_vector(own, self.directions(parameters), self.table.warmer_c)
 
     def normal(self, parameters: FloatArray, weights: FloatArray) -> Normal:
@@ -277,7 +384,7 @@ class Problem:
         """Residuals (n, c), and derivatives (n, c, k) by unit, tilts, dip, mount and map of each pose."""
         table, at = self.table, self.table.components
         (up, by_turn, by_dip), frames = self._stage(parameters), self._frames(parameters)
-        own = self.accelerometers(parameters)[table.unit]
+        own = self._own(parameters)
         sensed = sensed_vector(own, _turned_by(frames, up), table.warmer_c)
         by_direction = sensed.by_direction[:, at]
 
@@ -293,6 +400,9 @@ class Problem:
             parts += [through(_turned_by(by_tilts[:, k], up)) for k in range(TILTS)]
             parts.append(through(_turned_by(frames, by_dip)))
         by_angle = through(_turned_by(frames, by_turn))
+        if self.n_deviations:
+            parts.append(sensed.by_parameters[:, at][:, :, OWN])
+            parts.append(by_angle * self._moved()[:, None, :])
         derivatives = np.concatenate([*parts, by_angle, by_angle * self.columns[:, None, :]], axis=2)
         left = table.vector_g[:, at] - sensed.vector_g[:, at]
         bare = np.flatnonzero(~table.has_vector)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from calrig.calibration.progress import Progress, unheard
-from calrig.calibration.separation.accelerometer import PLANE_CURVATURES, PLANE_NAMES, PLANE_PER_C
+from calrig.calibration.separation.accelerometer import (
+    PLANE_CURVATURES,
+    PLANE_NAMES,
+    PLANE_PER_C,
+    PLANE_QUARTIC,
+)
 from calrig.calibration.separation.gyro import WholeGyro, whole_gyro
 from calrig.calibration.separation.held_out import HeldOut, believing_the_stage, held_out
 from calrig.calibration.separation.level import Level
@@ -37,6 +43,8 @@ UNITS = {
     "z3": ("z_mg_per_g3", 1e3),
     "y_per_c": ("y_mg_per_c", 1e3),
     "z_per_c": ("z_mg_per_c", 1e3),
+    "y4": ("y_mg_per_g4", 1e3),
+    "z4": ("z_mg_per_g4", 1e3),
 }
 """A document's names of the parameters, and their units."""
 
@@ -61,9 +69,14 @@ def map_document(on_stage: Mapped) -> dict[str, Any]:
     """The stage's error over its dial."""
     return {
         "stage_deg": on_stage.stage_deg.tolist(),
-        "error_deg": on_stage.error_deg.tolist(),
-        "std_deg": on_stage.std_deg.tolist(),
+        "error_deg": _known(on_stage.error_deg),
+        "std_deg": _known(on_stage.std_deg),
     }
+
+
+def _known(values: FloatArray) -> list[float | None]:
+    """The values for JSON, null of what is not known."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +113,7 @@ def solution_document(
         progress: callback, called with the share that is done.
         frame: of the accelerometers' matrices.
     """
-    fit, on_stage = solution.fit, mapped(solution.fit)
+    fit, on_stage = solution.fit, mapped(solution)
     tested, wholes = held_out(fit, progress), whole_units(solution, frame)
     is_whole = solution.table.is_whole
     advice = advised(solution, limits_deg)
@@ -127,10 +140,11 @@ def parameters_of(solution: Solution, unit: int) -> dict[str, Value]:
     """
     plane, reference_c = solution.planes[unit], float(solution.table.reference_c[unit])
     stds, is_warmed = np.sqrt(np.maximum(np.diag(plane.covariance), 0.0)), bool(np.isfinite(reference_c))
+    has_quartic = solution.fit.problem.spread.quartic_g > 0.0
     found: dict[str, Value] = {}
     for name, (stated_as, factor) in UNITS.items():
         k = PLANE_NAMES.index(name)
-        if k in PLANE_PER_C and not is_warmed:
+        if (k in PLANE_PER_C and not is_warmed) or (k in PLANE_QUARTIC and not has_quartic):
             continue
         is_fixed = solution.fit.problem.linear and k in PLANE_CURVATURES
         found[stated_as] = value(factor * plane.own[k], None if is_fixed else factor * stds[k])
@@ -297,13 +311,8 @@ def pose_residuals(solution: Solution) -> dict[str, list[Any]]:
     if table.is_whole:
         return {name: [] for name in ("mount", "dial_deg", "on_map_deg", "before_deg", "left_deg")}
     before, left = np.degrees(believing_the_stage(fit).left()), np.degrees(fit.left())
-    found = mapped(fit)
-
-    def waves(dial_deg: FloatArray) -> FloatArray:
-        series = basis(dial_deg, np.zeros(len(dial_deg)), fit.problem.orders)
-        return np.asarray(series @ found.coefficients)
-
-    on_map = waves(table.dial_deg) - waves(found.stage_deg).mean() + left
+    series = basis(table.dial_deg, np.zeros(len(table)), fit.problem.orders)
+    on_map = series @ np.degrees(fit.parameters[fit.problem.map_at]) - mapped(solution).mean_deg + left
     columns = {
         "dial_deg": table.dial_deg,
         "on_map_deg": on_map,

@@ -9,7 +9,7 @@ import numpy as np
 
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.progress import Progress, unheard
-from calrig.calibration.separation.lack_of_fit import MountTest, mount_tests
+from calrig.calibration.separation.lack_of_fit import Gear, MountTest, mount_tests, unstated_gear
 from calrig.calibration.separation.least_squares import (
     OUTLIER_STD,
     Fit,
@@ -20,19 +20,27 @@ from calrig.calibration.separation.least_squares import (
     without_outliers,
 )
 from calrig.calibration.separation.level import Level, level_of
+from calrig.calibration.separation.local_errors import without_regions
 from calrig.calibration.separation.order_choice import Choice, always, chosen, offered
-from calrig.calibration.separation.pose_table import MountedPoses, Table, table_of
-from calrig.calibration.separation.problem import Problem
-from calrig.calibration.separation.stage_map import TURN_DEG
+from calrig.calibration.separation.pose_table import BoolArray, MountedPoses, Table, table_of
+from calrig.calibration.separation.problem import PLAIN, Problem
+from calrig.calibration.separation.spread import spread_of
+from calrig.calibration.separation.stage_map import TURN_DEG, Region, inside_regions
 from calrig.calibration.separation.unit_results import (
     ElevationUncertainty,
     InPlane,
     elevation_uncertainty,
     in_plane,
 )
+from calrig.calibration.separation.vibration import vibrating_at_deg
+from calrig.estimation.angles import wrap_deg
 
 MOST_TILT_DEG = 25.0
 """Of an axis that was stated to lie along the stage's."""
+HARDLY_NOISE = 0.85
+"""Correlation from pose to pose, seconds apart, beyond which something else moved."""
+SHAKEN_DEG = 10.0
+"""Of the dial, to either side of where a stage vibrates, poses are left out."""
 MOST_NAMED = 5
 """Of the poses that were left out, how many are named."""
 
@@ -49,6 +57,8 @@ class Solution:
         levels: of each unit that was reversed.
         mount_tests: each mount against the others, of units in the plane.
         warnings: of how the poses were taken, and those that were left out.
+        regions: of the dial where the stage is off locally; their poses are left out of the fit.
+        gear: a period on the dial that nobody stated; None without one.
     """
 
     fit: Fit
@@ -58,6 +68,8 @@ class Solution:
     levels: tuple[Level | None, ...]
     mount_tests: tuple[MountTest, ...]
     warnings: tuple[str, ...]
+    regions: tuple[Region, ...] = ()
+    gear: Gear | None = None
 
     @property
     def table(self) -> Table:
@@ -100,6 +112,7 @@ def solve(
     linear: bool = False,
     periods_deg: Sequence[float] = (),
     seat_std_deg: float | None = None,
+    mounts_alike: bool = False,
     progress: Progress = unheard,
 ) -> Solution:
     """Solve stage, mounts and units at once.
@@ -110,6 +123,8 @@ def solve(
         periods_deg: of gears, as far as they are known.
         seat_std_deg: repeatability of one clamping to the next on one seat, if it is known; only for units
             in the plane.
+        mounts_alike: whether it is stated that neither a unit's offsets, its seat nor the stage's map differ
+            between mounts.
         progress: callback, called with the share that is done.
 
     Raises:
@@ -122,10 +137,20 @@ def solve(
     progress(0.5)
     if table.is_whole:
         rich = with_noise_of_components(rich)
-    correlated = replace(rich.problem, correlation=correlation_of(rich))
     progress(0.7)
-    choice = chosen(fitted(correlated, weights, rich.parameters), known)
-    fit = fitted(replace(correlated, orders=choice.orders), weights)
+    rich = _with_correlation(rich)
+    shaken = np.zeros(len(table), dtype=np.bool_)
+    if (at_deg := vibrating_at_deg(rich)) is not None:
+        shaken = np.abs(wrap_deg(table.dial_deg - at_deg)) < SHAKEN_DEG
+        warnings = [
+            *warnings,
+            f"|a| is off in neighbouring poses near {at_deg:g}° of the dial, as where a stage vibrates: the "
+            f"{int((shaken & rich.kept).sum())} poses within {SHAKEN_DEG:g}° of it were left out",
+        ]
+        weights = np.where(shaken, 0.0, rich.weights)
+        rich = _with_correlation(fitted(rich.problem, weights, rich.parameters))
+    choice, plain, regions = _plain(rich, known)
+    fit = _with_spread(plain, mounts_alike)
     progress(0.85)
     _refuse_another_face(fit)
     units, in_the_plane = range(len(table.units)), not table.is_whole
@@ -139,8 +164,48 @@ def solve(
         planes=planes,
         uncertainties=tuple(elevation_uncertainty(fit, unit, planes[unit]) for unit in units),
         levels=levels,
-        mount_tests=tuple(mount_tests(fit)) if in_the_plane else (),
-        warnings=(*warnings, *_outlier_messages(fit)),
+        mount_tests=tuple(mount_tests(plain)) if in_the_plane else (),
+        warnings=(*warnings, *_outlier_messages(fit, regions, shaken)),
+        regions=regions,
+        gear=unstated_gear(fit) if in_the_plane else None,
+    )
+
+
+def _with_correlation(fit: Fit) -> Fit:
+    problem = replace(fit.problem, correlation=correlation_of(fit))
+    return fitted(problem, fit.weights, fit.parameters)
+
+
+def _plain(rich: Fit, known: Sequence[float]) -> tuple[Choice, Fit, tuple[Region, ...]]:
+    """The orders that the data carry, the model with these, and the regions whose poses are left out."""
+    again, _, regions = without_regions(rich, rich.weights)
+    if regions:
+        rich = _with_correlation(again)
+    choice = chosen(rich, known)
+    fit = fitted(replace(rich.problem, orders=choice.orders), rich.weights)
+    if not regions:  # many orders may follow a small one that few do not
+        _, weights, regions = without_regions(fit, rich.weights)
+        if regions:
+            rich = _with_correlation(fitted(rich.problem, weights, rich.parameters))
+            choice = chosen(rich, known)
+            fit = fitted(replace(rich.problem, orders=choice.orders), weights)
+    return choice, fit, regions
+
+
+def _with_spread(plain: Fit, mounts_alike: bool) -> Fit:
+    """The same fit with what differs between mounts, and quartic terms, as far as the poses show them."""
+    if plain.problem.correlation > HARDLY_NOISE:
+        return plain
+    spread = spread_of(plain, mounts_alike=mounts_alike)
+    if spread == PLAIN:
+        return plain
+    problem = replace(plain.problem, spread=spread, correlation=0.0)
+    again = correlation_of(fitted(problem, plain.weights, plain.parameters))
+    plain = fitted(replace(plain.problem, correlation=again), plain.weights, plain.parameters)
+    return fitted(
+        replace(plain.problem, spread=spread_of(plain, mounts_alike=mounts_alike)),
+        plain.weights,
+        plain.parameters,
     )
 
 
@@ -156,10 +221,10 @@ def _refuse_another_face(fit: Fit) -> None:
             )
 
 
-def _outlier_messages(fit: Fit) -> list[str]:
+def _outlier_messages(fit: Fit, regions: Sequence[Region], shaken: BoolArray) -> list[str]:
     """Poses that were left out, each by its place; and how many lie as far off and were not."""
     table, messages = fit.problem.table, []
-    left_out = np.flatnonzero(~fit.kept)
+    left_out = np.flatnonzero(~fit.kept & ~inside_regions(table.dial_deg, regions) & ~shaken)
     if len(left_out):
         listed = ", ".join(
             f"{table.mounts[table.mount[k]].name} at {table.dial_deg[k]:g}°" for k in left_out[:MOST_NAMED]

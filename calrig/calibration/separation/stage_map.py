@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,12 @@ GRID_DEG = 2.0
 MAP_SCHEMA = "calrig.stage-map/1"
 MARGIN_DEG = 1.0
 """A pose may stand so far beyond the dial angles that the map was made over: half of its own steps."""
+TAPER_DEG = 2.0
+"""Beyond the margin of a region, over which its standard deviation falls to nothing."""
+WIDEST_GAP_DEG = TURN_DEG / HIGHEST_ORDER / 2.0
+"""Half a wave of the highest order: what the stage does in a wider gap, no pose beside it shows."""
+NEAR_DEG = 0.5
+"""From a visited angle, within which the map is given at the side of a wider gap."""
 _RESTS = ("units", "unit"), ("solved_from", "run")
 _LEAST_EIGENVALUE = -1e-9
 """Of a covariance, as a share of its greatest: what rounding leaves."""
@@ -63,8 +69,8 @@ def widest_gap_deg(dial_deg: FloatArray) -> float:
 
 
 def resolved_orders(dial_deg: FloatArray) -> list[float]:
-    """Whole orders of a map that such poses can tell, all together."""
-    highest = min(HIGHEST_ORDER, highest_identifiable_order(dial_deg), (len(_apart(dial_deg)) - 1) / 2.0)
+    """Whole orders of a map that such poses can tell, each by itself."""
+    highest = min(HIGHEST_ORDER, highest_identifiable_order(dial_deg))
     return [float(order) for order in range(1, int(highest) + 1)]
 
 
@@ -93,6 +99,42 @@ def dial_grid_deg(dial_deg: FloatArray) -> FloatArray:
     return np.linspace(low, high, max(round((high - low) / GRID_DEG), 1) + 1)
 
 
+def undetermined_gaps(dial_deg: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Parts of the dial between visited angles that lie too far apart to show the map between them."""
+    at = np.unique(np.mod(dial_deg + TURN_DEG / 2.0, TURN_DEG)) - TURN_DEG / 2.0
+    at = np.append(at, at[0] + TURN_DEG)
+    wide = np.flatnonzero(np.diff(at) > WIDEST_GAP_DEG)
+    if not goes_round(dial_deg):  # beyond the arc there is no map at all
+        wide = wide[wide != np.diff(at).argmax()]
+    return tuple((float(at[k]) + NEAR_DEG, float(at[k + 1]) - NEAR_DEG) for k in wide)
+
+
+def inside_gaps(
+    dial_deg: FloatArray, gaps_deg: Sequence[tuple[float, float]]
+) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(n,) whether angles lie in such a gap."""
+    found = np.zeros(len(dial_deg), dtype=np.bool_)
+    for low, high in gaps_deg:
+        beyond = np.mod(dial_deg - low, TURN_DEG)
+        found |= (beyond > 0.0) & (beyond < high - low)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A part of the dial where the stage is off locally: first and last angle, and the largest residual."""
+
+    from_deg: float
+    to_deg: float
+    std_deg: float
+
+    def stds_deg(self, dial_deg: FloatArray) -> FloatArray:
+        """(n,) what the region adds at angles of the dial: full up to the margin, then falling to 0."""
+        middle, half = 0.5 * (self.from_deg + self.to_deg), 0.5 * (self.to_deg - self.from_deg)
+        off = np.abs(np.mod(dial_deg - middle + TURN_DEG / 2.0, TURN_DEG) - TURN_DEG / 2.0)
+        return np.asarray(self.std_deg * np.clip(1.0 - (off - half - MARGIN_DEG) / TAPER_DEG, 0.0, 1.0))
+
+
 class MapError(ValueError):
     """It is no stage's map that can be used; the message says what is wrong with it."""
 
@@ -108,6 +150,8 @@ class StageMap:
         dial_deg: (m,) the dial's angles that it was made over, ascending by equal steps.
         sha256: of its document.
         units, sources: what it rests on.
+        regions: where the stage is off locally.
+        gaps_deg: parts of the dial between visited angles where the map is not determined.
     """
 
     orders: tuple[float, ...]
@@ -117,6 +161,8 @@ class StageMap:
     sha256: str
     units: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
+    regions: tuple[Region, ...] = ()
+    gaps_deg: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def from_document(cls, document: object) -> StageMap:
@@ -167,7 +213,13 @@ class StageMap:
             raise MapError("has a covariance that is none")
         dial = np.linspace(dial[0], dial[-1], len(dial))
         names = tuple(map(str, told.get("units", ()))), tuple(map(str, told.get("solved_from", ())))
-        return cls(tuple(orders.tolist()), coefficients, covariance, dial, str(told["sha256"]), *names)
+        regions = tuple(
+            Region(*(float(one[key]) for key in ("from_deg", "to_deg", "std_deg")))
+            for one in told.get("regions", ())
+        )
+        gaps = tuple((float(low), float(high)) for low, high in told.get("undetermined_deg", ()))
+        orders_of = tuple(orders.tolist())
+        return cls(orders_of, coefficients, covariance, dial, str(told["sha256"]), *names, regions, gaps)
 
     def frozen(self) -> dict[str, Any]:
         """All that a run keeps of the map it was made by, so that no result ever changes; for JSON."""
@@ -181,27 +233,39 @@ class StageMap:
             "std_deg": self.std_deg,
             "units": list(self.units),
             "solved_from": list(self.sources),
+            **local_document(self.regions, self.gaps_deg),
         }
+
+    @property
+    def known_deg(self) -> FloatArray:
+        """Angles of its dial where it is determined; the ends of the gaps where each of them lies in one."""
+        known = self.dial_deg[~inside_gaps(self.dial_deg, self.gaps_deg)]
+        return known if len(known) else np.unique(np.array(self.gaps_deg))
 
     @property
     def std_deg(self) -> float:
         """Standard uncertainty over the dial's range, root mean square."""
-        middle = np.zeros(len(self.dial_deg))
-        return float(np.sqrt(np.mean(self.stds_deg(self.dial_deg, middle) ** 2)))
+        dial = self.known_deg
+        return float(np.sqrt(np.mean(self.stds_deg(dial, np.zeros(len(dial))) ** 2)))
 
     def stds_deg(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
         """(n,) standard uncertainty at angles of the dial; approach 0 is the middle of the play."""
         columns = self.columns(dial_deg, approach)
         variance = np.einsum("ij,jk,ik->i", columns, self.covariance_deg2, columns)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + self.local_variance_deg2(dial_deg)))
+
+    def local_variance_deg2(self, dial_deg: FloatArray) -> FloatArray:
+        """(n,) what local errors add, each angle for itself."""
+        return local_variance_deg2(self.regions, dial_deg)
 
     def correction_deg(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
         """(n,) what the elevation is more than the dial says."""
         return np.asarray(self.columns(dial_deg, approach) @ self.coefficients_deg)
 
     def columns(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
-        """(n, p) by its coefficients, the mean over the dial's range removed."""
-        level = basis(self.dial_deg, np.zeros(len(self.dial_deg)), self.orders).mean(axis=0)
+        """(n, p) by its coefficients, the mean over where it is determined removed."""
+        known = self.known_deg
+        level = basis(known, np.zeros(len(known)), self.orders).mean(axis=0)
         return np.asarray(basis(dial_deg, approach, self.orders) - level)
 
     def covers(self, dial_deg: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
@@ -210,10 +274,40 @@ class StageMap:
         step = (high - low) / (len(self.dial_deg) - 1)
         whole = all(order.is_integer() for order in self.orders)
         if whole and high - low + step >= TURN_DEG:
-            return np.ones(len(dial_deg), dtype=np.bool_)
+            return np.asarray(~inside_gaps(dial_deg, self.gaps_deg))
         beyond = dial_deg - (low - MARGIN_DEG)
         beyond = np.mod(beyond, TURN_DEG) if whole else beyond  # a gear stands otherwise a turn later
-        return np.asarray((beyond >= 0.0) & (beyond <= high - low + 2.0 * MARGIN_DEG))
+        inside = (beyond >= 0.0) & (beyond <= high - low + 2.0 * MARGIN_DEG)
+        return np.asarray(inside & ~inside_gaps(dial_deg, self.gaps_deg))
+
+
+def inside_regions(dial_deg: FloatArray, regions: Sequence[Region]) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(n,) whether angles lie in a region or its margin."""
+    found = np.zeros(len(dial_deg), dtype=np.bool_)
+    for region in regions:
+        beyond = np.mod(dial_deg - region.from_deg + MARGIN_DEG, TURN_DEG)
+        found |= beyond <= region.to_deg - region.from_deg + 2.0 * MARGIN_DEG
+    return found
+
+
+def local_variance_deg2(regions: Sequence[Region], dial_deg: FloatArray) -> FloatArray:
+    """(n,) what local errors add to the variance of a map, each angle for itself."""
+    found = np.zeros(len(dial_deg))
+    for region in regions:
+        found += region.stds_deg(dial_deg) ** 2
+    return found
+
+
+def local_document(
+    regions: Sequence[Region], gaps_deg: Sequence[tuple[float, float]]
+) -> dict[str, list[Any]]:
+    """Local errors and undetermined gaps for JSON; no key of what a map does not have."""
+    found: dict[str, list[Any]] = {}
+    if regions:
+        found["regions"] = [asdict(region) for region in regions]
+    if gaps_deg:
+        found["undetermined_deg"] = [list(gap) for gap in gaps_deg]
+    return found
 
 
 def dial_of(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
@@ -249,9 +343,10 @@ def beyond_in_words(poses: Sequence[Pose], stage_map: StageMap) -> str:
     out = dial[~stage_map.covers(dial)]
     low, high = stage_map.dial_deg[0], stage_map.dial_deg[-1]
     n = "1 pose stands" if len(out) == 1 else f"{len(out)} poses stand"
+    between = " and is not determined between the angles visited" if stage_map.gaps_deg else ""
     said = (
         f"The stage's map was not used: {n} at dial angles of {out.min():.4g}° to {out.max():.4g}°, and it "
-        f"was made over {low:.4g}° to {high:.4g}°."
+        f"was made over {low:.4g}° to {high:.4g}°{between}."
     )
     return said.replace("-", "−")
 
@@ -290,9 +385,12 @@ def map_reference(
         design = np.column_stack([design, theta_deg])
     by_line = np.linalg.pinv(design) @ columns
     line = by_line @ stage_map.covariance_deg2 @ by_line.T
+    local, by_pose = stage_map.local_variance_deg2(dial_deg), np.linalg.pinv(design)
+    line += (by_pose * local) @ by_pose.T
     if bent:
         about = columns - columns.mean(axis=0)
         variance = float(np.einsum("ij,jk,ik->", about, stage_map.covariance_deg2, about)) / len(about)
+        variance += float(local.mean())
     else:
         variance = float(line[1, 1]) * float(np.ptp(theta_deg)) ** 2 / 12.0 if straight else 0.0
     whole = np.zeros((2, 2))

@@ -173,9 +173,9 @@ class InPlane:
     """A unit's parameters about its x axis, as `PLANE_NAMES`, and by those of the joint fit.
 
     Attributes:
-        own: (11,).
-        by_parameters: (11, p).
-        covariance: (11, 11).
+        own: (13,).
+        by_parameters: (13, p).
+        covariance: (13, 13).
     """
 
     own: FloatArray
@@ -185,8 +185,8 @@ class InPlane:
 
 def in_plane(fit: Fit, unit: int) -> InPlane:
     """Return one unit about its x axis."""
-    problem, at = fit.problem, fit.problem.unit_at(unit)
-    touched = np.concatenate([np.r_[at], _tilts_of(fit, unit)])
+    problem = fit.problem
+    touched = np.concatenate([problem.touched_by(unit), _tilts_of(fit, unit)])
 
     def numbers(parameters: FloatArray) -> FloatArray:
         return plane_parameters(problem.accelerometer(parameters, unit), _axis(fit, unit, parameters))
@@ -282,7 +282,7 @@ def polynomial(plane: InPlane, grid_deg: FloatArray) -> tuple[FloatArray, FloatA
 def mounted_otherwise(
     fit: Fit, unit: int, rows: Intp, mounts_deg: Sequence[float], dial_deg: FloatArray | None = None
 ) -> ElevationUncertainty:
-    """What would be known of the elevation of one unit in the plane, clamped at other angles.
+    """What would be known of the elevation of one unit in the plane, clamped at other angles, mounts alike.
 
     Args:
         fit: says how large noise, map and the unit's errors are.
@@ -303,8 +303,9 @@ def mounted_otherwise(
         reference_c=np.full(1, np.nan),
     )
     thought_of = Problem(table, problem.orders, problem.linear, problem.correlation)
-    parameters = np.concatenate(
-        [fit.parameters[problem.unit_at(unit)], np.radians(mounts_deg), fit.parameters[problem.map_at]]
-    )
+    parameters = np.zeros(thought_of.size)
+    parameters[thought_of.unit_at(0)] = fit.parameters[problem.unit_at(unit)]
+    parameters[thought_of.mounts_at] = np.radians(mounts_deg)
+    parameters[thought_of.map_at] = fit.parameters[problem.map_at]
     bound = at_parameters(thought_of, parameters, fit.noise)
     return elevation_uncertainty(bound, 0, in_plane(bound, 0))

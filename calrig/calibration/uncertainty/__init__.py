@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calrig.calibration.uncertainty.budget import reference_figures, uncertainty
+from calrig.calibration.uncertainty.budget import places_deg, reference_figures, uncertainty
 from calrig.calibration.uncertainty.conformity import (
     answer_of,
     cannot_pass,
@@ -50,6 +50,7 @@ __all__ = [
     "limit_for",
     "make_verdict",
     "percent",
+    "places_deg",
     "pose_doubts",
     "position_doubts",
     "reference_figures",

@@ -77,7 +77,8 @@ def uncertainty(
     One figure for the whole range is the mean of u² over it (F.2.4.5). This is type A (4.2). What the
     reference is worth is type B (4.3, `reference_part`). The two are uncorrelated (5.1.2) and combine to
     U = k·√(A² + B²), k for 95 % by `coverage_factor` (6.2.1). All of type A comes from the one scatter s, so
-    that it has the line's n − 2 degrees of freedom. A mean over settings is as good as normal.
+    that it has n − 2 degrees of freedom, less the line's `effect_parameters`. A mean over settings is as good
+    as normal.
 
     Args:
         line: the fit.
@@ -93,7 +94,7 @@ def uncertainty(
     k = None
     if type_a is not None:
         distribution = "normal" if reference.kind == "setting" else reference.distribution
-        k = coverage_factor(type_a, len(theta_deg) - 2.0, of_stage_deg, distribution)
+        k = coverage_factor(type_a, len(theta_deg) - 2.0 - line.effect_parameters, of_stage_deg, distribution)
     return Uncertainty(
         type_a_deg=type_a,
         type_b_deg=of_stage_deg,
@@ -178,8 +179,8 @@ def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) ->
     return math.sqrt(scatter_deg**2 + of_line) / abs(line.scale)
 
 
-STRETCHES = 12
-"""Of the range: ±60° in steps of 10° have one about each elevation, and its two ends have one each."""
+MOST_PLACES = 25
+"""Elevations at which errors are gathered one by one; of more, in as many segments of the range."""
 DECIMALS = 6
 """A microdegree; a result is kept and sent with every run."""
 
@@ -189,12 +190,31 @@ def frozen(value: Any) -> Any:
     return tuple(map(frozen, value)) if isinstance(value, (list, tuple)) else value
 
 
+def places_deg(theta_deg: FloatArray, nominal_deg: FloatArray) -> FloatArray:
+    """Return (n,) elevations at which the errors of poses are gathered, for the verdict and for every table.
+
+    Those commanded, if they are at most `MOST_PLACES`; else the middles of as many segments of the range.
+
+    Args:
+        theta_deg: (n,) elevations of the poses.
+        nominal_deg: (n,) elevations that they were commanded to.
+    """
+    places = np.round(nominal_deg, 3)
+    if len(np.unique(places)) <= MOST_PLACES:
+        return np.asarray(places, dtype=np.float64)
+    low, width = float(theta_deg.min()), float(np.ptp(theta_deg)) / (MOST_PLACES - 1)
+    if width == 0.0:
+        return np.full(len(theta_deg), low)
+    return np.asarray(np.round(low + width * np.rint((theta_deg - low) / width), 2), dtype=np.float64)
+
+
 def over_range(
     theta_deg: FloatArray,
     error_deg: FloatArray,
     line: Line,
     reference: Reference | None,
     noise_deg: float | None,
+    nominal_deg: FloatArray | None = None,
 ) -> RangeErrors | None:
     """Gathers what limits need. Errors are not averaged: what approach or time do to a pose would cancel.
 
@@ -204,18 +224,19 @@ def over_range(
         line: fitted to these poses.
         reference: what the stage's own angle is worth.
         noise_deg: standard error of one reading, from within the dwells; None where it is not known.
+        nominal_deg: (n,) elevations that the poses were commanded to; None for `theta_deg`.
 
     Returns:
         None where the reading does not follow the stage, so that there is no calibrated elevation.
     """
     if not np.isfinite(error_deg).all():
         return None
-    low, width = float(theta_deg.min()), float(np.ptp(theta_deg)) / STRETCHES
     if line.scale is None:  # what a stage scatters by about one elevation is no range
-        low, width = float(theta_deg.mean()), 0.0
-    places = np.rint((theta_deg - low) / width).astype(int) if width > 0.0 else np.zeros(len(theta_deg), int)
-    stretches = np.unique(places)
-    of_each = [error_deg[places == place] for place in stretches]
+        places = np.full(len(theta_deg), theta_deg.mean())
+    else:
+        places = places_deg(theta_deg, theta_deg if nominal_deg is None else nominal_deg)
+    elevations = np.unique(places)
+    of_each = [error_deg[places == place] for place in elevations]
     worth = uncertainty(line, theta_deg, reference)
     of_error = uncertainty(line, theta_deg, reference, noise_deg or None)
     expanded = [u for u in (worth.expanded_deg, of_error.expanded_deg) if u is not None]
@@ -223,12 +244,12 @@ def over_range(
         bias_deg=line.bias_deg,
         scale=line.scale,
         covariance=line.covariance,
-        freedom=len(theta_deg) - (1 if line.scale is None else 2),
+        freedom=len(theta_deg) - (1 if line.scale is None else 2) - line.effect_parameters,
         expanded_uncertainty_deg=worth.expanded_deg,
         error_expanded_uncertainty_deg=min(expanded, default=None),
         coverage_factor=worth.coverage_factor,
         coverage=worth.coverage,
-        elevation_deg=tuple(round(low + width * place, DECIMALS) for place in stretches.tolist()),
+        elevation_deg=tuple(round(place, DECIMALS) for place in elevations.tolist()),
         lowest_error_deg=tuple(round(float(errors.min()), DECIMALS) for errors in of_each),
         highest_error_deg=tuple(round(float(errors.max()), DECIMALS) for errors in of_each),
         mean_error_deg=float(np.mean([errors.mean() for errors in of_each])),

@@ -29,6 +29,20 @@ def deg(value: float) -> str:
     return angle_text(value, 2)
 
 
+def deg_and_limit(value: float, limit: float) -> tuple[str, str]:
+    """Format an angle and its upper limit; the digits show on which side of the limit the angle lies."""
+
+    def shown(number: float, digits: int) -> float:
+        return float(f"{number:.{digits - 1}e}")
+
+    of_limit = next((digits for digits in range(2, 12) if shown(limit, digits) == limit), 12)
+    side = value > limit, value == limit
+    digits = next(
+        (n for n in range(2, 17) if (shown(value, n) > limit, shown(value, n) == limit) == side), 17
+    )
+    return angle_text(value, digits), angle_text(limit, of_limit)
+
+
 def significant(value: float) -> str:
     """Format a value with two significant digits and a typographic minus sign."""
     if value == 0.0 or not 1e-6 <= abs(value) < 1e6:

@@ -59,7 +59,7 @@ def cautious(line: Line, n_poses: int, noise_deg: float | None) -> Line:
     """
     if line.covariance is None or not line.residual_std_deg:
         return line
-    freedom = n_poses - 2
+    freedom = n_poses - 2 - line.effect_parameters
     own_deg = caution(n_poses) * line.residual_std_deg
     known = coverage_factor(1.0, math.inf, 0.0, "normal") / coverage_factor(1.0, freedom, 0.0, "normal")
     more = max(own_deg, known * (noise_deg or 0.0)) / line.residual_std_deg

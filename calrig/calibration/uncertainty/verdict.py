@@ -18,6 +18,7 @@ from calrig.calibration.uncertainty.conformity import (
     combined_answer,
     decisions,
     deg,
+    deg_and_limit,
     percent,
     significant,
 )
@@ -25,7 +26,7 @@ from calrig.calibration.uncertainty.coverage import coverage_factor
 from calrig.calibration.uncertainty.doubts import STAYS_A_DRAFT, doubts_of
 from calrig.calibration.uncertainty.risk import probability_of_conformity
 from calrig.estimation.angle_text import angle_text
-from calrig.model.result import RangeErrors, Reference, Result
+from calrig.model.result import Extremes, RangeErrors, Reference, Result, Verified
 from calrig.model.verdict import Answer, Figures, Interval, Left, Limit, Verdict, VerdictFigures
 
 Document = Mapping[str, Any]
@@ -76,12 +77,14 @@ def make_verdict(
     left = _left(ratio, bound)
     doubts = doubts_of(result, move_mismatches=move_mismatches, verification=verification)
     tested = None if limit is None else _test(limit, result, calibration, relied_on=not doubts)
+    verified = result.verified if verification else None
     says = [
+        *_outside(verified),
         *(one.says for one in doubts),
         *([STAYS_A_DRAFT] if doubts and not verification else []),
         *(() if tested is None else tested.says),
-        *_left_in_words(left, ratio, bound, freedom, alone=tested is None),
-        _before_and_after(result, verification=verification),
+        *_left_in_words(left, ratio, bound, freedom, verified, alone=tested is None),
+        _before_and_after(result, verification=verification, of_one_run=_is_solved(calibration)),
         *_of_the_stage(result, freedom, left),
         *([result.reference_says] if result.reference_says else []),
         *_diagnosed(diagnosis, left),
@@ -133,8 +136,11 @@ def _over_noise(
     result: Result, diagnosis: Document | None, *, verification: bool
 ) -> tuple[float | None, float | None, int]:
     """Return the residual over the one that noise predicts, the bound of noise alone, and ν."""
-    fitted = 0 if verification else _fitted_parameters(result, diagnosis)
-    freedom = result.n_poses - fitted
+    if verification and result.verified is not None:
+        return result.verified.ratio, result.verified.bound, result.verified.n_tested
+    freedom = result.n_poses - (0 if verification else _fitted_parameters(result, diagnosis))
+    if not verification and result.over_range is not None:  # rows of before lack the effects
+        freedom = min(freedom, result.over_range.freedom)
     ratio = _ratio(result, freedom)
     return ratio, None if ratio is None else noise_bound(freedom), freedom
 
@@ -173,21 +179,84 @@ def _ratio(result: Result, freedom: int, also_deg: float = 0.0) -> float | None:
 
 
 def _left_in_words(
-    left: str | None, ratio: float | None, bound: float | None, freedom: int, *, alone: bool
+    left: str | None,
+    ratio: float | None,
+    bound: float | None,
+    freedom: int,
+    verified: Verified | None,
+    *,
+    alone: bool,
 ) -> list[str]:
     """Say whether the residual is noise; `alone` if no limit says whether it is good enough."""
     if ratio is None or bound is None:
         what = "Not judged" if alone else "What is left is not judged"
+        if verified is not None and verified.rms_deg is None:
+            return [f"{what}: {_poses(verified.n_tested)} within the calibrated range are too few."]
         return [f"{what}: the noise of a reading is not known, or there are too few poses."]
     noise = "Good: only noise is left." if alone else "Only noise is left."
+    shown, most = _apart(ratio, bound)
+    if verified is not None:
+        return [
+            noise if left == "noise" else "More than noise is left.",
+            f"The residual is {shown} times what noise and the uncertainty of calibration and stage "
+            f"predict; they alone stay under {most} in {100 * CONFIDENCE:.0f} % of runs "
+            f"({_poses(freedom)}, correlation {verified.correlation or 0.0:.2f} from pose to pose).".replace(
+                "-", "−"
+            ),
+            *_as_before(left, verified),
+        ]
     return [
         noise if left == "noise" else "More than noise is left.",
-        f"The residual RMS is {ratio:.2f} times what noise alone predicts; noise alone stays under "
-        f"{bound:.2f} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
+        f"The residual RMS is {shown} times what noise alone predicts; noise alone stays under "
+        f"{most} in {100 * CONFIDENCE:.0f} % of runs ({freedom} degrees of freedom).",
     ]
 
 
-def _before_and_after(result: Result, *, verification: bool) -> str:
+def _apart(ratio: float, bound: float) -> tuple[str, str]:
+    """Format two figures with two decimals, or with as many more as show which one is larger."""
+    for decimals in range(2, 17):
+        first, second = f"{ratio:.{decimals}f}", f"{bound:.{decimals}f}"
+        if first != second:
+            break
+    return first, second
+
+
+def _as_before(left: str | None, verified: Verified) -> list[str]:
+    """Say that the calibration's own poses scatter as much, if more than noise is left and they do."""
+    p_value = verified.against_calibration_p
+    if left != "more_than_noise" or p_value is None or p_value < 1.0 - CONFIDENCE:
+        return []
+    return ["The calibration's own poses scatter as much: no change since the calibration is shown."]
+
+
+def _outside(verified: Verified | None) -> list[str]:
+    """Say which poses lie outside the calibrated range, with both ranges; nothing if none does."""
+    if verified is None or not verified.n_outside:
+        return []
+    measured, calibrated = (
+        [_range(of_angle, "°"), *([] if of_temperature is None else [_range(of_temperature, " °C")])]
+        for of_angle, of_temperature in (
+            (verified.measured_deg, verified.measured_c),
+            (verified.calibrated_deg, verified.calibrated_c),
+        )
+    )
+    return [
+        f"Outside the calibrated range: {verified.n_outside} of "
+        f"{_poses(verified.n_outside + verified.n_tested)}. Verified at {', '.join(measured)}; calibrated at "
+        f"{', '.join(calibrated)}. The calibration promises nothing outside, so those poses are not judged."
+    ]
+
+
+def _range(ends: Extremes, unit: str) -> str:
+    return f"{ends.min:.1f}{unit} to {ends.max:.1f}{unit}".replace("-", "−")
+
+
+def _is_solved(calibration: Document | None) -> bool:
+    """Return whether a document is of a joint solution, whose verdict is on the poses of one of its runs."""
+    return "elevation_std_deg" in (calibration or {})
+
+
+def _before_and_after(result: Result, *, verification: bool, of_one_run: bool) -> str:
     raw, calibrated, both = result.rms_raw_deg, result.rms_calibrated_deg, result.rms_with_effects_deg
     if calibrated is None:
         return f"RMS error {deg(raw)} raw; the reading does not follow the stage and cannot be calibrated."
@@ -197,7 +266,8 @@ def _before_and_after(result: Result, *, verification: bool) -> str:
         if both is not None:
             words += f" ({deg(calibrated)} by its bias and scale alone)"
     else:
-        words = f"RMS error {deg(raw)} raw, {deg(calibrated)} calibrated"
+        what = "RMS error of one run of the joint solution" if of_one_run else "RMS error"
+        words = f"{what} {deg(raw)} raw, {deg(calibrated)} calibrated"
         if both is not None:
             words += f", {deg(both)} with accepted effects"
     if result.noise_deg is not None:
@@ -333,6 +403,8 @@ def _measured(result: Result, calibration: Document | None = None) -> _Measured 
             found = replace(found, error_expanded_uncertainty_deg=least_deg)
     with_effects = result.rms_with_effects_deg
     rms_deg = result.rms_calibrated_deg if with_effects is None else with_effects
+    if result.verified is not None:
+        rms_deg = result.verified.rms_deg
     level_known = bool((calibration or {}).get("level_known", False))
     level_deg = 0.0 if level_known else found.mean_error_deg
     at_ends = zip(found.lowest_error_deg, found.highest_error_deg, strict=True)
@@ -410,6 +482,9 @@ def _nothing_to_test(limit: Limit, result: Result) -> _Tested:
     against, answer = f"against the limits “{limit.name}”", _without_figures(result)
     if answer == "fail":
         return _Tested(answer, (f"Fail {against}: the reading does not follow the stage.",), 0.0, None)
+    if result.verified is not None:
+        why = "Too few poses are within the calibrated range; the calibration promises nothing outside it."
+        return _Tested(answer, (f"Undecided {against}.", why), None, None)
     says = (
         f"Undecided {against}.",
         "An earlier version of calrig computed this result and did not store the figures that limits need.",
@@ -429,13 +504,13 @@ def _says(limit: Limit, measured: _Measured, found: Mapping[str, Decided | None]
         scale, undecided = found["scale"], "Scale: not decided, because all poses are at one elevation."
         yield undecided if scale is None else _say_between("Scale", "", limit.scale, scale)
     if limit.rms_deg is not None and (rms := found["rms_deg"]):
-        yield _say_at_most(f"RMS error {deg(rms.value)}", rms.expanded, limit.rms_deg, rms.answer)
+        yield _say_at_most("RMS error", rms, limit.rms_deg)
     if limit.expanded_uncertainty_deg is not None:
         own = found["expanded_uncertainty_deg"]
         yield (
             "Expanded uncertainty: unknown, so that nothing passes."
             if own is None
-            else _say_at_most("Expanded uncertainty", own.value, limit.expanded_uncertainty_deg, own.answer)
+            else _say_at_most("Expanded uncertainty U =", own, limit.expanded_uncertainty_deg, has_own=False)
         )
 
 
@@ -445,25 +520,42 @@ def _largest_error(allowed_deg: float, measured: _Measured, largest: Decided | N
         return "Largest error: not decided, because at one elevation nothing is relative to the others."
     low, high = found.elevation_deg[0], found.elevation_deg[-1]
     near = round(found.elevation_deg[errors.index(largest.value)], 2)
-    where = f"Largest error {deg(largest.value)}, near {near:g}°".replace("-", "−")
+    where = f", near {near:g}°".replace("-", "−")
     if not measured.level_known:
         over = f"{low:.4g}° to {high:.4g}°".replace("-", "−")
         where += f", of the elevation less its mean over {over} (the level is not known)"
-    return _say_at_most(where, largest.expanded, allowed_deg, largest.answer)
+    of_elevation, of_error = found.expanded_uncertainty_deg, largest.expanded
+    note = ""
+    if of_elevation is not None and of_error is not None and deg(of_elevation) != deg(of_error):
+        note = f" (of an elevation {deg(of_elevation)}, which contains the residual)"
+    return _say_at_most("Largest error", largest, allowed_deg, where=where, note=note)
 
 
-def _say_at_most(what: str, expanded_deg: float | None, allowed_deg: float, answer: Answer) -> str:
-    u = "U not known" if expanded_deg is None else f"U = {deg(expanded_deg)}"
-    return f"{what}, {u}; at most {deg(allowed_deg)} allowed: {IN_WORDS[answer].lower()}."
+def _say_at_most(
+    what: str, found: Decided, allowed_deg: float, *, where: str = "", note: str = "", has_own: bool = True
+) -> str:
+    """Say a figure, its uncertainty if it `has_own`, and its limit, with digits that show why."""
+    value, most = deg_and_limit(found.value, allowed_deg)
+    u = ", U not known" if found.expanded is None else f", U = {deg(found.expanded)}{note}"
+    answer = IN_WORDS[found.answer].lower()
+    return f"{what} {value}{where}{u if has_own else ''}; at most {most} allowed: {answer}."
 
 
 def _say_between(name: str, unit: str, allowed: Interval, found: Decided) -> str:
     u = "U not known" if found.expanded is None else f"U = {significant(found.expanded)}{unit}"
     low, high = (f"{end:g}{unit}".replace("-", "−") for end in allowed)
-    shown = f"{found.value:.3f}{unit}" if unit else f"{found.value:.5f}"
-    return (
-        f"{name} {shown.replace('-', '−')}, {u}; {low} to {high} allowed: {IN_WORDS[found.answer].lower()}."
+    is_inside = allowed[0] <= found.value <= allowed[1]
+    decimals = range(3 if unit else 5, 17)
+    shown = next(
+        (
+            text
+            for text in (f"{found.value:.{n}f}" for n in decimals)
+            if (allowed[0] <= float(text) <= allowed[1]) == is_inside
+        ),
+        f"{found.value}",
     )
+    shown, answer = shown.replace("-", "−"), IN_WORDS[found.answer].lower()
+    return f"{name} {shown}{unit}, {u}; {low} to {high} allowed: {answer}."
 
 
 def _probability(limit: Limit, measured: _Measured) -> float | None:

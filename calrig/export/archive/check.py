@@ -20,25 +20,39 @@ from calrig.calibration.effects import effect_of
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ApplyError
 from calrig.calibration.results import build_result, numbers_of, own_effect
-from calrig.calibration.separation import dial_of, with_map
+from calrig.calibration.separation import MountedPoses, dial_of, solve, with_map
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
 from calrig.export.archive.opened import DamagedError, Opened, opened
 from calrig.export.calibration_document import SCHEMA, calibration_content
 from calrig.export.poses_csv import read_poses
-from calrig.store.records import AcceptedEffect, Document, filtering_of, map_of
+from calrig.export.solution_documents import unit_documents
+from calrig.store.records import AcceptedEffect, Document, doubt_of, filtering_of, map_of
 from calrig.store.trail import FIRST, is_chained
 
 Read = Callable[[str], bytes | None]
 """Gives a member; None of one that is known to be damaged or missing."""
+RunOf = Callable[[str], tuple[dict[str, Any], list[Pose], list[int]]]
+"""Gives a run with its poses and their indices."""
 Problem = tuple[str, str]
 """Where, and what is wrong there."""
-Said = dict[int, tuple[str, str]]
-"""Of each revision, the hash of its document and its state, as the trail has them."""
+
+
+@dataclass
+class Said:
+    """What the trail says.
+
+    Attributes:
+        revisions: of each, the hash of its document and its state.
+        certificates: of each that was issued, by number, the hashes of its bytes.
+    """
+
+    revisions: dict[int, tuple[str, str]] = field(default_factory=dict)
+    certificates: dict[str, dict[str, str | None]] = field(default_factory=dict)
 
 
 def said_by_trail(lines: bytes, manifest: Mapping[str, Any]) -> Said:
-    """What the unit's entries of the trail say of its revisions.
+    """What the unit's entries of the trail say of its revisions and certificates.
 
     An entry's hash is over the one before it and all that it says. Entries of other units between two of this
     one's are not here, so that the chain is proven within each entry, from one to the next where they follow
@@ -51,7 +65,7 @@ def said_by_trail(lines: bytes, manifest: Mapping[str, Any]) -> Said:
     Raises:
         DamagedError: an entry is not what was written, or one is missing.
     """
-    said: Said = {}
+    said = Said()
     seq, before = 0, FIRST
     entries = [json.loads(line) for line in lines.splitlines()]
     for entry in entries:
@@ -72,18 +86,44 @@ def said_by_trail(lines: bytes, manifest: Mapping[str, Any]) -> Said:
 
 
 def _replay(said: Said, entry: Mapping[str, Any]) -> None:
-    what, number = entry["what"], entry["revision"]
+    what, number, revisions = entry["what"], entry["revision"], said.revisions
     if what == "unit_removed":
-        said.clear()
+        revisions.clear()
     elif what == "drafted":
-        said[number] = entry["detail"]["sha256"], "draft"
+        revisions[number] = entry["detail"]["sha256"], "draft"
     elif what == "released":
-        for other, (sha256, state) in said.items():
+        for other, (sha256, state) in revisions.items():
             if state == "in_force":
-                said[other] = sha256, "superseded"
-        said[number] = said[number][0], "in_force"
+                revisions[other] = sha256, "superseded"
+        revisions[number] = revisions[number][0], "in_force"
     elif what == "withdrawn":
-        said[number] = said[number][0], "withdrawn"
+        revisions[number] = revisions[number][0], "withdrawn"
+    elif what == "certificate_issued":
+        said.certificates[entry["detail"]["number"]] = dict(entry["detail"]["sha256"])
+
+
+def certificate_problems(said: Said, names: Sequence[str], read: Read) -> Iterator[Problem]:
+    """What is wrong with the issued certificates.
+
+    Args:
+        said: by the trail.
+        names: of all members.
+        read: gives a certificate.
+    """
+    expected = {
+        layout.certificate_name(number, form): sha256[form]
+        for number, sha256 in said.certificates.items()
+        for form in ("pdf", "dcc")
+        if sha256[form] is not None
+    }
+    for name, sha256 in expected.items():
+        if name not in names:
+            yield layout.TRAIL, f"tells of {name}, which is missing"
+        elif (content := read(name)) is not None and hashlib.sha256(content).hexdigest() != sha256:
+            yield name, "is not what was issued: the trail has another SHA-256"
+    for name in sorted(filter(layout.is_issued, set(names) - expected.keys())):
+        if read(name) is not None:
+            yield name, "was never issued: the trail does not tell of it"
 
 
 def document_problems(
@@ -113,10 +153,10 @@ def document_problems(
         stated = {name: document[name] for name in ("unit", "revision", "run_id")}
         if stated != {"unit": manifest["unit"], "revision": one["revision"], "run_id": one["run_id"]}:
             yield where, f"is of {stated}, and the list has it otherwise"
-        if said is not None and said.get(one["revision"]) != (sha256, one["status"]):
+        if said is not None and said.revisions.get(one["revision"]) != (sha256, one["status"]):
             yield where, f"is {one['status']} by the list, and the trail says otherwise"
     listed = {one["revision"] for one in revisions}
-    for number in sorted((said or {}).keys() - listed):
+    for number in sorted(set() if said is None else said.revisions.keys() - listed):
         yield layout.REVISIONS, f"lacks revision {number}, which the trail tells of"
 
 
@@ -124,14 +164,16 @@ FIGURES = (
     "range_deg",
     "bias_deg",
     "scale",
-    "covariance",
     "rms_raw_deg",
     "rms_calibrated_deg",
     "rms_with_effects_deg",
     "temperature_c",
 )
-"""What follows from poses and effects alone. The uncertainty is as the program of its day had it."""
-RELATIVE, ABSOLUTE = 1e-6, 1e-9
+"""What follows from poses and effects alone. Uncertainty and covariance are as its program had them."""
+Tolerance = tuple[float, float]
+"""Relative and absolute difference that rounding may cause."""
+EXACT, FITTED, SOLVED = (0.0, 0.0), (1e-6, 1e-9), (1e-4, 1e-6)
+"""Of accepted effects, of a line's figures, and of a joint solution, which is found by iteration."""
 """Another machine's linear algebra, and nothing that a reader of the document could see."""
 
 
@@ -182,7 +224,7 @@ def differences(
         for effect in accepted
     ]
     with np.errstate(all="ignore"):
-        result = build_result(counted, None, applied)
+        result = build_result(counted, None, applied, doubt=doubt_of(accepted))
         if result.scale is None:
             yield "its poses give no scale"
             return
@@ -193,16 +235,70 @@ def differences(
             result=result,
             accepted=accepted,
         )
+    yield from _unlike(document, again, FITTED)
+
+
+def solution_differences(
+    document: Document, basis: Document, stale: Sequence[str], run_of: RunOf
+) -> Iterator[str]:
+    """Solve a joint solution again, and yield what of a unit's document it does not give.
+
+    Args:
+        document: CONTRACT section 6.
+        basis: rig, runs and assumptions of the solution (`calrig.store.solved.Basis`).
+        stale: what has changed since of the runs.
+        run_of: gives a run with its poses and their indices.
+
+    Raises:
+        NotRefitted: something that the solution needs is not there.
+    """
+    if document["schema"] != SCHEMA:
+        raise NotRefitted(f"this program makes {SCHEMA}, and it is {document['schema']}")
+    if len(basis["units"]) > 1:
+        raise NotRefitted("its joint solution is of several units, and runs of others are not in an archive")
+    if stale:
+        raise NotRefitted(f"its joint solution has an outdated basis: {' '.join(stale)}")
+    lots: list[MountedPoses] = []
+    for run_id in basis["runs"]:
+        run, poses, indices = run_of(run_id)
+        plan = run["plan"] or {}
+        axis = str((run["plan"] or run["provenance"]).get("mount_axis", "x"))
+        if axis != "x":
+            raise NotRefitted("its joint solution is of units clamped by several faces")
+        excluded = {int(index) for index in run["poses"]["excluded"]}
+        filtering = filtering_of(run["provenance"], run["plan"])
+        counted = [
+            replace(pose, filtering=filtering)
+            for pose, index in zip(poses, indices, strict=True)
+            if index not in excluded
+        ]
+        planned_deg = plan.get("mounts_deg") or [0.0]
+        lots += MountedPoses.of_run(
+            counted, unit=run["unit"], run_id=run_id, name=run_id, axis=axis, planned_deg=planned_deg
+        )
+    with np.errstate(all="ignore"):
+        solution = solve(
+            lots,
+            linear=basis["linear"],
+            periods_deg=basis["periods_deg"],
+            seat_std_deg=basis["seat_std_deg"],
+        )
+        again = unit_documents(solution, basis["frame"], basis["rig"])[document["unit"]]
+    yield from _unlike(document, again, SOLVED)
+
+
+def _unlike(document: Document, again: Document, tolerance: Tolerance) -> Iterator[str]:
+    """Yield the figures and effects of a document that differ from those fitted again."""
     for name in FIGURES:
         value = again[name]
         if name == "bias_deg":  # documents of before have it within half a turn of 0
             value += 360.0 * round((document[name] - value) / 360.0)
-        if not _same(document[name], value):
+        if not _same(document[name], value, tolerance):
             yield f"{name} is {document[name]}, and its poses give {value}"
     stated, found = (
         [(effect["name"], effect["parameters"]) for effect in one["effects"]] for one in (document, again)
     )
-    if stated != found:
+    if not _same(stated, found, EXACT if tolerance is FITTED else tolerance):
         yield f"its effects are {_names(stated)}, and those accepted are {_names(found)} with other values"
 
 
@@ -210,7 +306,7 @@ def _require_known(document: Document) -> None:
     if document["schema"] != SCHEMA:
         raise NotRefitted(f"this program makes {SCHEMA}, and it is {document['schema']}")
     if "elevation_std_deg" in document:
-        raise NotRefitted("it is of a joint solution of several runs")
+        raise NotRefitted("its joint solution is not in the archive")
 
 
 def _accepted(basis: Document, effects: Mapping[int, AcceptedEffect]) -> list[AcceptedEffect]:
@@ -227,15 +323,19 @@ def _accepted(basis: Document, effects: Mapping[int, AcceptedEffect]) -> list[Ac
     return accepted
 
 
-def _same(stated: Any, again: Any) -> bool:
+def _same(stated: Any, again: Any, tolerance: Tolerance) -> bool:
     """Whether two figures, or documents of such, are the same but for rounding."""
     if isinstance(stated, dict) and isinstance(again, dict):
-        return stated.keys() == again.keys() and all(_same(stated[key], again[key]) for key in stated)
+        return stated.keys() == again.keys() and all(
+            _same(stated[key], again[key], tolerance) for key in stated
+        )
     if isinstance(stated, list | tuple) and isinstance(again, list | tuple):
-        return len(stated) == len(again) and all(map(_same, stated, again))
-    if stated is None or again is None:
-        return stated is again
-    return bool(np.isclose(float(stated), float(again), rtol=RELATIVE, atol=ABSOLUTE))
+        pairs = zip(stated, again, strict=False)
+        return len(stated) == len(again) and all(_same(*pair, tolerance) for pair in pairs)
+    if isinstance(stated, str) or stated is None or again is None:
+        return bool(stated == again)
+    relative, absolute = tolerance
+    return bool(np.isclose(float(stated), float(again), rtol=relative, atol=absolute))
 
 
 def _names(effects: Sequence[tuple[str, Any]]) -> str:
@@ -314,6 +414,8 @@ class _Look:
         said: Said | None = None
         with self._told(layout.TRAIL):
             said = said_by_trail(self._read(layout.TRAIL), manifest["trail"])
+            names = self._archive.names
+            self._found.problems += certificate_problems(said, names, self._known)
         revisions: list[dict[str, Any]] = []
         with self._told(layout.REVISIONS):
             revisions = json.loads(self._read(layout.REVISIONS))
@@ -398,8 +500,11 @@ class _Look:
             with self._told(name):
                 try:
                     document = json.loads(self._read(name))
-                    run, poses, indices = self._run(one["run_id"])
-                    wrong = list(differences(document, one["basis"], effects, run, poses, indices))
+                    if one.get("solution") is not None:
+                        wrong = list(solution_differences(document, one["solution"], one["stale"], self._run))
+                    else:
+                        run, poses, indices = self._run(one["run_id"])
+                        wrong = list(differences(document, one["basis"], effects, run, poses, indices))
                 except NotRefitted as error:
                     self._found.not_refitted[number] = str(error)
                     continue

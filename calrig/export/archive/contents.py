@@ -26,6 +26,7 @@ from calrig.store import Run, Store
 from calrig.store.convert import iso_utc
 from calrig.store.issued import Revision
 from calrig.store.records import Document
+from calrig.store.solved import Solved
 from calrig.store.trail import entry_document
 
 _REGULAR_FILE = 0o100644 << 16
@@ -115,10 +116,11 @@ def _write(
 
 
 Listed = Callable[[Sequence[Revision]], list[Document]]
-Certificates = Callable[[Revision], Iterator[tuple[str, bytes]]]
-"""Of a revision, those that can be made here: ending of the file's name (`xml`, `pdf`) and content."""
+Certificates = Callable[[Sequence[str]], Iterator[tuple[str, bytes]]]
+"""Those of some numbers: name of the file and content."""
 ENTRIES_AT_ONCE = 400
 RUNS_AT_ONCE = 20
+MOST_CERTIFICATES = 1_000_000
 
 
 def unit_archive(
@@ -132,7 +134,7 @@ def unit_archive(
         store: where the unit is.
         unit: its serial number.
         listed: revisions as CONTRACT section 2 lists them.
-        certificates: of each revision.
+        certificates: gives those that were issued.
     """
     contents = _Contents(store, unit, listed, certificates)
     return packed(contents.members(), contents.manifest)
@@ -160,6 +162,12 @@ class _Contents:
         }
         yield Member(layout.README, [layout.WHAT_IT_IS.encode()])
         yield from self._revisions(revisions)
+        issued = self._store.trail.entries(
+            unit=self._unit, what=["certificate_issued"], limit=MOST_CERTIFICATES
+        )
+        numbers = [entry.act.detail["number"] for entry in issued if entry.seq <= newest]
+        for name, content in self._certificates(numbers):
+            yield Member(name, [content])
         yield Member(layout.TRAIL, self._entries(newest))
         yield from self._runs({one.run_id for one in revisions})
 
@@ -181,7 +189,9 @@ class _Contents:
         listed = []
         for one, shown in zip(revisions, self._listed(revisions), strict=True):
             self._saw(one.issued_at)
-            listed.append({**shown, "file": layout.document_name(one.revision), "basis": one.basis})
+            solution = self._solution_of(one)
+            known = {} if solution is None else {"solution": {"rig": solution.rig, **asdict(solution.basis)}}
+            listed.append({**shown, "file": layout.document_name(one.revision), "basis": one.basis, **known})
             if one.status == "in_force":
                 self._in_force = one.revision
         yield _document(layout.REVISIONS, listed)
@@ -190,9 +200,11 @@ class _Contents:
         yield _document(layout.EFFECTS, [asdict(effect) for effect in effects])
         for one in revisions:
             yield Member(layout.document_name(one.revision), [one.text.encode()])
-        for one in revisions:
-            for ending, content in self._certificates(one):
-                yield Member(layout.certificate_name(one.revision, ending), [content])
+
+    def _solution_of(self, one: Revision) -> Solved | None:
+        """The joint solution that a revision is of, if any."""
+        number = one.basis.get("solution")
+        return None if number is None else self._store.solutions.get(number).found
 
     def _entries(self, newest: int) -> Iterator[bytes]:
         """The unit's entries of the trail up to a number, a line each, and what each is chained to."""

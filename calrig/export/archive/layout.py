@@ -28,7 +28,7 @@ LARGEST_RATIO = 100
 _RUN_ID = r"(?:[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}|[1-9][0-9]{0,17})"
 _NAMES = re.compile(
     rf"{MANIFEST}|{README}|{REVISIONS}|{EFFECTS}|{RUNS}|{TRAIL}"
-    r"|revisions/[0-9]{4,10}\.json|certificates/[0-9]{4,10}\.(?:xml|pdf)"
+    r"|revisions/[0-9]{4,10}\.json|certificates/[0-9]{4,10}(?:-[0-9A-F]{12})?\.(?:xml|pdf)"
     rf"|runs/{_RUN_ID}/(?:run\.json|poses\.csv|samples\.csv)",
     re.ASCII,
 )
@@ -39,7 +39,7 @@ This is the archive of one sensor unit, made by calrig. `calrig verify FILE.zip`
 manifest.json       what is in here: each file's size and SHA-256, and the head of the audit trail
 revisions.json      every issued revision of the calibration: state, who, when, why, what it rests on
 revisions/N.json    each revision's document, byte for byte as issued
-certificates/N.*    each revision as a digital calibration certificate (XML) and, where made, as PDF
+certificates/N.*    each issued certificate as a digital calibration certificate (XML) and, where made, as PDF
 effects.json        the accepted effects that revisions rest on
 runs.json           every run of the unit
 runs/ID/run.json    a run: plan, result, diagnosis, provenance, excluded poses
@@ -62,9 +62,14 @@ def document_name(revision: int) -> str:
     return f"revisions/{revision:04d}.json"
 
 
-def certificate_name(revision: int, ending: str) -> str:
-    """Where the certificate of a revision is; `ending` is `xml` or `pdf`."""
-    return f"certificates/{revision:04d}.{ending}"
+def certificate_name(number: str, form: str) -> str:
+    """Where an issued certificate is; `form` is `pdf` or `dcc`."""
+    return f"certificates/{number}.{'xml' if form == 'dcc' else form}"
+
+
+def is_issued(name: str) -> bool:
+    """Whether a file is an issued certificate; archives of before have one of each revision instead."""
+    return name.startswith("certificates/") and "-" in name
 
 
 def run_names(run_id: str) -> tuple[str, str, str]:

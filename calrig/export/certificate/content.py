@@ -73,6 +73,8 @@ KINDS = {
 }
 _INFINITE = 1e6
 """Degrees of freedom that count as infinitely many."""
+_SAME_FACTOR = 1e-9
+"""Two ways to the same k agree to this; k by convolution differs by more wherever both parts count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,23 +239,36 @@ def _method(
     nu = "not stated"
     if effective is not None:
         nu = "infinite" if math.isinf(effective) else str(math.floor(effective))
+    by_t = None
+    if effective is not None:
+        by_t = coverage_factor(1.0, min(effective, _INFINITE), 0.0, "normal", document["coverage"])
     if reference is None or reference.kind == "setting" or reference.distribution == "normal":
+        if by_t is None or math.isclose(document["coverage_factor"], by_t, rel_tol=_SAME_FACTOR):
+            yield (  # documents of earlier programs
+                f"k for {probability} is that of Student's t for the effective degrees of freedom by Welch "
+                f"and Satterthwaite (G.4), {nu}."
+            )
+            return
         yield (
-            f"k for {probability} is that of Student's t for the effective degrees of freedom by Welch and "
-            f"Satterthwaite (G.4), {nu}."
+            f"k for {probability} is that of the sum of Student's t (type A) and a normal distribution "
+            "(type B), convolved (JCGM 101:2008)."
         )
+        yield _by_welch(nu, by_t)
         return
     yield (
         f"k for {probability} is that of the sum of Student's t (type A) and a rectangular distribution "
         "(type B), convolved (JCGM 101:2008). A rectangular contribution exceeds its limits nowhere, and "
         "Student's t would overstate it (JCGM 100:2008, G.1.3)."
     )
-    if effective is not None:
-        by_t = coverage_factor(1.0, min(effective, _INFINITE), 0.0, "normal", document["coverage"])
-        yield (
-            f"The effective degrees of freedom by Welch and Satterthwaite (G.4) are {nu}; Student's t of as "
-            f"many would give k = {by_t:.2f}."
-        )
+    if by_t is not None:
+        yield _by_welch(nu, by_t)
+
+
+def _by_welch(nu: str, factor: float) -> str:
+    return (
+        f"The effective degrees of freedom by Welch and Satterthwaite (G.4) are {nu}; Student's t of as many "
+        f"would give k = {factor:.2f}."
+    )
 
 
 def _not_contained(document: Mapping[str, Any]) -> Iterator[str]:
@@ -305,8 +320,12 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """The residual of each pose, step by step: uncorrected, by bias and scale, then effect by effect."""
+    """The residual of each pose, step by step: uncorrected, by bias and scale, then effect by effect.
 
+    `title` says of which poses.
+    """
+
+    title: str
     elevation_deg: tuple[float, ...]
     approach: tuple[int, ...]
     steps: tuple[Step, ...]
@@ -396,12 +415,16 @@ class CalibrationItem:
 
 @dataclass(frozen=True, slots=True)
 class Dates:
-    """When it was calibrated, and when the revision was made and put in force; times are aware, in UTC."""
+    """When it was calibrated, when the revision was made and put in force; times are aware, in UTC.
+
+    `issued` is when the certificate was; of a preview the time of the revision.
+    """
 
     calibration_began: datetime | None
     calibration_ended: datetime | None
-    issued: datetime
+    revision_made: datetime
     released: datetime | None
+    issued: datetime
     calibrate_again: date | None
 
 
@@ -541,11 +564,31 @@ class TrailMark:
 
 
 @dataclass(frozen=True, slots=True)
+class Issue:
+    """How a certificate is issued.
+
+    Attributes:
+        by: None where nobody is known by name.
+        replaces: number of the certificate that it corrects, `reason` why.
+        trail_seq, trail_sha256: the newest entry of the audit trail, and its hash, which chains all
+            before it.
+    """
+
+    at: datetime
+    by: str | None
+    replaces: str | None
+    reason: str | None
+    trail_seq: int
+    trail_sha256: str
+
+
+@dataclass(frozen=True, slots=True)
 class Certificate:
     """Everything a certificate says.
 
     Attributes:
         number: unique: it has in it a hash of everything else.
+        issue: how it is issued; None of a preview.
         kind: `demonstration` of a rig that is a simulation.
         traceable: to what the angles are traceable, a sentence.
         authorised_by: who is responsible for what it says, and how it came into force.
@@ -557,6 +600,7 @@ class Certificate:
     """
 
     number: str
+    issue: Issue | None
     kind: Literal["certificate", "demonstration"]
     revision: int
     status: RevisionStatus

@@ -21,6 +21,7 @@ from calrig.export.certificate.content import (
     Conditions,
     Conformity,
     Dates,
+    Issue,
     Laboratory,
     Method,
     Quantity,
@@ -48,7 +49,7 @@ from calrig.store.units import CalibrationItem
 
 FIGURES = (
     ("rms_raw_deg", "RMS error as the unit reads"),
-    ("rms_calibrated_deg", "RMS error with bias and scale"),
+    ("rms_calibrated_deg", "RMS error with the plain fit of bias and scale"),
     ("rms_with_effects_deg", "RMS error with accepted effects"),
 )
 
@@ -108,6 +109,8 @@ def results_of(
 
 def _points_say(document: Document, of_stage: Sequence[AcceptedEffect], earlier: bool) -> tuple[str, ...]:
     said = ["Errors are the elevation that the unit gives less that of the stage: mean, lowest and highest."]
+    if not document["level_known"]:
+        said.append("Those as left are less their mean over the range: the level is not known.")
     if "elevation_std_deg" in document:
         said.append(
             "They are of one run of the joint solution, the stage put right by the map solved for beside."
@@ -207,16 +210,22 @@ class Sources:
     gone: Sequence[str] = ()
 
 
-def certificate_of(sources: Sources) -> Certificate:
-    """The content of a revision's certificate: the same sources always give the same one."""
+def certificate_of(sources: Sources, issue: Issue | None = None) -> Certificate:
+    """The content of a revision's certificate: the same sources always give the same one.
+
+    Args:
+        sources: all that it is made of.
+        issue: how it is issued; None for a preview.
+    """
     revision, run = sources.revision, sources.run
     document, provenance = revision.document, revision.document["provenance"]
     out = set(revision.basis["excluded"])
     kept = [one.pose for one in sources.poses if one.index not in out]
     counted = of_first_mount(kept)
-    freedom = len(counted) - 2 if counted else None
-    if "elevation_std_deg" in document:  # its scatter is of all units together
-        freedom = provenance.get("degrees_of_freedom")
+    freedom = document.get("degrees_of_freedom")
+    if "degrees_of_freedom" not in document:  # of before: a joint solution's scatter is of all units together
+        of_line = len(counted) - 2 if counted else None
+        freedom = provenance.get("degrees_of_freedom", of_line)
     reference = stated_reference(document)
     came_with = None if sources.came_with is None else sources.came_with.document
     measured = Measured(counted, document, came_with, sources.of_stage)
@@ -224,13 +233,14 @@ def certificate_of(sources: Sources) -> Certificate:
     released = next((one for one in reversed(sources.entries) if one.act.what == "released"), None)
     made = Certificate(
         number="",
+        issue=issue,
         kind="demonstration" if provenance.get("simulated") else "certificate",
         revision=revision.revision,
         status=revision.status,
         document_sha256=revision.sha256,
         laboratory=Laboratory(**sources.laboratory.as_stated()),
         item=_item(revision.unit, provenance, sources.item),
-        dates=_dates(sources, released),
+        dates=_dates(sources, released, issue),
         method=Method(
             program=f"calrig {provenance.get('calrig') or 'of a version not known'}",
             measurand=wording.measurand(document),
@@ -270,7 +280,8 @@ def certificate_of(sources: Sources) -> Certificate:
 def _number(certificate: Certificate) -> str:
     """The revision, and a hash of everything that is said: other words, another number."""
     text = json.dumps(asdict(certificate), sort_keys=True, ensure_ascii=False, default=str)
-    return f"{certificate.revision:04d}-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
+    number = f"{certificate.revision:04d}-{hashlib.sha256(text.encode()).hexdigest()[:12].upper()}"
+    return number if certificate.issue is not None else f"PREVIEW-{number}"
 
 
 def _item(serial: str, provenance: Document, item: CalibrationItem | None) -> ItemSaid:
@@ -290,7 +301,7 @@ def _item(serial: str, provenance: Document, item: CalibrationItem | None) -> It
     )
 
 
-def _dates(sources: Sources, released: Entry | None) -> Dates:
+def _dates(sources: Sources, released: Entry | None, issue: Issue | None) -> Dates:
     run, months = sources.run, None if sources.item is None else sources.item.interval_agreed_months
     began, ended = run.started_at, run.finished_at
     if (solved := sources.revision.document["provenance"].get("solution")) is not None:
@@ -299,8 +310,9 @@ def _dates(sources: Sources, released: Entry | None) -> Dates:
     return Dates(
         calibration_began=None if run.plan is None else began,
         calibration_ended=None if run.plan is None else ended,
-        issued=sources.revision.issued_at,
+        revision_made=sources.revision.issued_at,
         released=None if released is None else released.at,
+        issued=sources.revision.issued_at if issue is None else issue.at,
         calibrate_again=again,
     )
 

@@ -14,16 +14,21 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.effects import effect_of
-from calrig.calibration.line import rms
+from calrig.calibration.line import fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ORIGINS, ApplyError, Origin
 from calrig.calibration.results import (
     AppliedEffect,
+    angles_deg,
+    circumstances,
     corrected_residuals_deg,
+    fit_line_with_effects,
+    nominal_deg,
     numbers_of,
     own_effect,
     raw_error_deg,
 )
+from calrig.calibration.uncertainty import places_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_document import line_of
 from calrig.export.certificate.content import (
@@ -40,8 +45,6 @@ from calrig.model.result import Reference, ReferenceFigures
 from calrig.store.records import AcceptedEffect, reference_of
 
 Document = Mapping[str, Any]
-MOST_POINTS = 25
-"""Elevations that a table shows one by one; more are gathered in as many stretches of the range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +74,30 @@ class Measured:
         return self._left_deg(self.document, _own(self.document))
 
     def residuals(self) -> Residuals:
-        """As it came, by bias and scale, then with one effect after another taken out."""
+        """Uncorrected, by the plain fit, then with more and more effects and the bias and scale beside them.
+
+        The last step is the document's own, so that the RMS errors of the first two and of the last are those
+        of the document.
+        """
+        theta, reading = angles_deg(self.poses)
         raw_deg = np.array([raw_error_deg(pose) for pose in self.poses])
         steps = [_step("As the unit reads", raw_deg)]
-        if "elevation_std_deg" not in self.document:  # a joint solution has 0 and 1 there, and all in effects
-            steps.append(_step("With bias and scale", self._by(self.document, ())))
-        taken: list[AppliedEffect] = []
-        for name, parameters in [*_of_stage(self.of_stage), *_own(self.document)]:
-            taken.append((name, parameters))
-            steps.append(_step(f"… and {effect_of(name).title.lower()}", self._by(self.document, taken)))
+        is_solved = "elevation_std_deg" in self.document  # 0 and 1 are its bias and scale, all is in effects
+        effects = [*_of_stage(self.of_stage), *_own(self.document)]
+        if not is_solved:
+            plain = line_of(self.document)
+            if effects:
+                one_angle = len({pose.target_deg for pose in self.poses}) == 1
+                plain = fit_line(theta, reading, one_angle=one_angle)
+            left_deg = residuals_deg(theta, reading, plain.bias_deg, plain.scale)
+            steps.append(_step("Plain fit of bias and scale", left_deg))
+        for k, (name, _) in enumerate(effects, 1):
+            is_last = k == len(effects) or is_solved
+            left = self._by(self.document, effects[:k]) if is_last else self._by_own_line(effects[:k])
+            steps.append(_step(f"… and {effect_of(name).title.lower()}", left))
+        of_run = " of one run of the joint solution" if is_solved else ""
         return Residuals(
+            title=f"Residual of each pose{of_run}",
             elevation_deg=tuple(pose.theta_deg for pose in self.poses),
             approach=tuple(pose.approach or 0 for pose in self.poses),
             steps=tuple(step for step in steps if step is not None),
@@ -89,11 +106,10 @@ class Measured:
     def points(self, expanded_deg: float | None) -> tuple[Point, ...]:
         """The errors by elevation."""
         theta = np.array([pose.theta_deg for pose in self.poses])
-        places = np.array([round(pose.target_deg + wrap_deg(pose.mount_deg), 3) for pose in self.poses])
-        if len(set(places.tolist())) > MOST_POINTS:
-            low, width = float(theta.min()), float(np.ptp(theta)) / (MOST_POINTS - 1)
-            places = np.round(low + width * np.rint((theta - low) / width), 2)
+        places = places_deg(theta, nominal_deg(self.poses))
         found, left = self.found_deg(), self.left_deg()
+        if not self.document["level_known"]:  # as the verdict has it
+            left = left - np.mean([left[places == place].mean() for place in np.unique(places)])
         points = []
         for place in np.unique(places):
             here = places == place
@@ -115,6 +131,15 @@ class Measured:
             if left_deg is not None:
                 return left_deg
         raise AssertionError("a line can always be applied")
+
+    def _by_own_line(self, effects: Sequence[AppliedEffect]) -> FloatArray | None:
+        """With bias and scale fitted beside these effects."""
+        theta, reading = angles_deg(self.poses)
+        try:
+            line = fit_line_with_effects(theta, reading, effects, circumstances(self.poses))
+            return corrected_residuals_deg(self.poses, line, effects)
+        except ApplyError:
+            return None
 
     def _by(self, document: Document, effects: Sequence[AppliedEffect]) -> FloatArray | None:
         try:

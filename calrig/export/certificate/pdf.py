@@ -14,6 +14,7 @@ from typing import Literal
 from calrig.errors import WorkError
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.sheet import sheet_of
+from calrig.export.certificate.signing import signed_pdf
 from calrig.laboratory import LaboratorySettings
 
 STANDARD: Literal["a-3b"] = "a-3b"
@@ -40,6 +41,12 @@ class Attached:
     relationship: str = "data"
 
 
+def require_renderer() -> None:
+    """Raise RendererMissingError where typst is not installed."""
+    if find_spec("typst") is None:
+        raise RendererMissingError(NEEDS)
+
+
 def pdf_of(
     said: Certificate, residuals_svg: str, attached: Sequence[Attached], laboratory: LaboratorySettings
 ) -> bytes:
@@ -49,14 +56,15 @@ def pdf_of(
         said: the content.
         residuals_svg: the picture of `said.residuals`.
         attached: files to put inside.
-        laboratory: its logo and fonts.
+        laboratory: its logo and fonts, and the key that an issued certificate is signed with.
 
     Raises:
         RendererMissingError: typst is not installed.
+        SignerMissingError: what signs is not installed.
+        WorkError: key and certificate cannot be signed with.
         CannotPrintError: no font has a character, or the logo cannot be read; the message says which.
     """
-    if find_spec("typst") is None:
-        raise RendererMissingError(NEEDS)
+    require_renderer()
     sheet = asdict(sheet_of(said))
     with TemporaryDirectory(prefix="calrig-certificate-") as folder:
         place = Path(folder)
@@ -67,7 +75,11 @@ def pdf_of(
         for one in attached:
             (place / one.name).write_bytes(one.content)
         (place / "certificate.typ").write_bytes(_TEMPLATE.read_bytes())
-        return _compiled(place, said.dates.issued, laboratory.fonts)
+        made = _compiled(place, said.dates.issued, laboratory.fonts)
+    key, certificate = laboratory.signing_key, laboratory.signing_certificate
+    if said.issue is None or key is None or certificate is None:
+        return made
+    return signed_pdf(made, Path(key), Path(certificate))
 
 
 def _without_content(attached: Attached) -> dict[str, str]:

@@ -125,7 +125,10 @@ def points(said: Certificate) -> tuple[Block, ...]:
     found = said.results
     note = f"As found: {found.found_by}. As left: with this calibration."
     columns = ("Elevation", "Poses", "As found", "from … to", "As left", "from … to", "U")
-    rows = [_point(point) for point in found.points]
+    errors = [abs(end) for one in found.points for end in (one.left_low_deg, one.left_high_deg)]
+    shown = [one for one in (found.points[0].expanded_deg, max(errors)) if one] if found.points else []
+    place = min((place_of(one, DIGITS) for one in shown), default=-3)
+    rows = [_point(point, place) for point in found.points]
     numbers = (True,) * len(columns)
     return paragraphs([note, *found.points_say]), table(columns, rows, numbers)
 
@@ -191,8 +194,8 @@ def _effect(one: EffectFound, whose: str) -> Block:
     return pairs([("Effect", f"{one.title} ({whose})"), *rows, ("Added to the reading", one.formula)])
 
 
-def _point(point: Point) -> tuple[str, ...]:
-    place = -3 if point.expanded_deg is None else place_of(point.expanded_deg, DIGITS)
+def _point(point: Point, place: int) -> tuple[str, ...]:
+    """A row; all errors to one place, so that the largest error has the digits that the verdict shows."""
 
     def at(value: float) -> str:
         return _minus(rounded(value, place)) + "°"
@@ -204,7 +207,7 @@ def _point(point: Point) -> tuple[str, ...]:
         f"{at(point.found_low_deg)} … {at(point.found_high_deg)}",
         at(point.left_deg),
         f"{at(point.left_low_deg)} … {at(point.left_high_deg)}",
-        NOT_STATED if point.expanded_deg is None else at(point.expanded_deg),
+        NOT_STATED if point.expanded_deg is None else degrees(point.expanded_deg),
     )
 
 
@@ -265,7 +268,8 @@ class Sheet:
 
 def sheet_of(said: Certificate) -> Sheet:
     """Lays a certificate out."""
-    stamps = ["NO ITEM WAS MEASURED: the rig is a simulation"] if said.kind == "demonstration" else []
+    stamps = [] if said.issue is not None else ["PREVIEW: not a certificate"]
+    stamps += ["NO ITEM WAS MEASURED: the rig is a simulation"] if said.kind == "demonstration" else []
     stamps += [STAMPS[said.status]] if said.status in STAMPS else []
     stamps += ["NOT TO BE RELIED ON: what it rests on counts no more"] if said.gone else []
     laboratory = said.laboratory
@@ -339,8 +343,9 @@ def _dates(said: Certificate) -> Block:
     rows = [
         ("Measurand", said.method.measurand),
         ("Date of calibration", when),
-        ("Date of issue", moment(dates.issued)),
-        ("Revision", f"{said.revision} ({said.status.replace('_', ' ')})"),
+        ("Date of issue", "not issued: a preview" if said.issue is None else moment(dates.issued)),
+        ("Revision", f"{said.revision} of {moment(dates.revision_made)} ({said.status.replace('_', ' ')})"),
+        ("Released", "no" if dates.released is None else moment(dates.released)),
     ]
     if said.item.interval_months is not None:
         agreed = f"{said.item.interval_months} months, as agreed with the customer"
@@ -351,7 +356,7 @@ def _dates(said: Certificate) -> Block:
 def _seen(said: Certificate) -> str:
     """The picture in words, for who cannot see it."""
     steps = "; ".join(f"{step.title}: RMS {degrees(step.rms_deg)}" for step in said.residuals.steps)
-    return f"Residual of each pose against elevation. {steps}."
+    return f"{said.residuals.title} against elevation. {steps}."
 
 
 def _method(said: Certificate) -> tuple[Block, ...]:
@@ -419,6 +424,11 @@ def _deviations(said: Certificate) -> tuple[Block, ...]:
             f"This certificate {what} revision {replaced.revision} of {moment(replaced.issued)} (SHA-256 of "
             f"its document {replaced.sha256}).{why}"
         )
+    issue = said.issue
+    if issue is not None and issue.replaces is not None:
+        lines.append(
+            f"This certificate replaces certificate {issue.replaces}. Reason: {stated(issue.reason)}."
+        )
     return (paragraphs(lines),)
 
 
@@ -429,6 +439,11 @@ def _records(said: Certificate) -> tuple[Block, ...]:
         lines.append(
             f"Audit trail: entry {trail.seq} of {moment(trail.at)}, by which this revision "
             f"{WHATS[trail.what]}; the head of the chain there is SHA-256 {trail.sha256}"
+        )
+    if said.issue is not None:
+        lines.append(
+            f"Issued by {stated(said.issue.by)} at entry {said.issue.trail_seq} of the audit trail, whose "
+            f"head then was SHA-256 {said.issue.trail_sha256}"
         )
     return (paragraphs([*lines, *said.software]),)
 

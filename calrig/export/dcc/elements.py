@@ -250,9 +250,15 @@ def _core_data(said: Certificate, country: str | None) -> ET.Element:
     ]
     if order is not None:
         identifications.append(_identification("customer", order, "Order", "calrig_order"))
-    before = said.replaces
+    before, issue = said.replaces, said.issue
     amended = previous = None
-    if before is not None and before.amends:
+    if issue is not None and issue.replaces is not None:
+        amended = dcc(
+            "reportAmendedSubstituted",
+            dcc("typeOfChange", "substituted"),
+            dcc("replacedUniqueIdentifier", plain(issue.replaces)),
+        )
+    elif before is not None and before.amends:
         amended = dcc(
             "reportAmendedSubstituted",
             dcc("typeOfChange", "amended"),
@@ -347,6 +353,19 @@ def _statements(said: Certificate) -> list[ET.Element]:
                 "Level", f"The measurand is relative: {said.method.measurand}", ref_type="calrig_level"
             )
         )
+    if said.issue is None:
+        stated.append(_statement("Preview", "This is a preview and not a certificate: it was not issued."))
+    else:
+        stated.append(
+            _statement(
+                "Issue",
+                f"Issued at entry {said.issue.trail_seq} of the audit trail, whose head then was SHA-256 "
+                f"{said.issue.trail_sha256}; revision of {said.dates.revision_made.date().isoformat()}.",
+            )
+        )
+        if said.issue.replaces is not None:
+            why = f"Certificate {said.issue.replaces} is replaced. Reason: {said.issue.reason}"
+            stated.append(_statement("Correction", why))
     if said.dates.calibration_began is None:
         words_of_it = "The dates of measurement were not stated: in their place stands the date of issue."
         stated.append(_statement("Dates", words_of_it))

@@ -36,15 +36,22 @@ from calrig.calibration.results import (
 )
 from calrig.estimation.angles import FloatArray
 from calrig.export.formats import CalibrationExporter
-from calrig.export.triads import is_curved
+from calrig.export.triads import curvature_of, is_curved
 
 N_ELEVATIONS = 7
 DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-0.6, 0, -0.8], [0, -0.8, 0.6], [0.48, 0.64, -0.6]])
 """Of gravity, g: the first axes, and some between them."""
 
 
+ROUNDS_OF_AXIS = 4
+"""Of Newton's iteration for one axis: curves of 5 % of it need three in `float`."""
+
+
 def acceleration_function(document: Mapping[str, Any]) -> list[str]:
-    """`calrig_acceleration_g`: true = matrix·(raw − bias), g; nothing where the document has no matrix."""
+    """`calrig_acceleration_g`: true = matrix·(raw − bias), g; nothing where the document has no matrix.
+
+    Where the axes have quadratic and cubic terms, each axis is solved for what acts along it first.
+    """
     found = document.get("accelerometer")
     if not found:
         return []
@@ -55,12 +62,35 @@ def acceleration_function(document: Mapping[str, Any]) -> list[str]:
         )
         for k, row in enumerate(found["matrix"])
     ]
-    curved = ["/* the document's quadratic and cubic terms of the axes are not taken out here */"]
+    lines = [f"    const float {axis} = raw_g[{k}] - {bias[k]};" for k, axis in enumerate("xyz")]
+    curved = []
+    if is_curved(found):
+        gains = np.diag(np.linalg.inv(np.array(found["matrix"], dtype=float)))
+        terms = [
+            ", ".join(c_literal(float(value)) for value in (gain, *of_axis))
+            for gain, of_axis in zip(gains, curvature_of(found).T, strict=True)
+        ]
+        curved = [
+            "/* the straight part of raw = gain*u + quadratic*u*u + cubic*u*u*u, u along the axis, g */",
+            "static inline float calrig_straight_g(float raw_g, float gain, float quadratic, float cubic)",
+            "{",
+            "    float u = raw_g / gain;",
+            f"    for (int k = 0; k < {ROUNDS_OF_AXIS}; k++)",
+            "        u -= (((cubic * u + quadratic) * u + gain) * u - raw_g)",
+            "            / ((3.0f * cubic * u + 2.0f * quadratic) * u + gain);",
+            "    return gain * u;",
+            "}",
+            "",
+        ]
+        lines = [
+            f"    const float {axis} = calrig_straight_g(raw_g[{k}] - {bias[k]}, {terms[k]});"
+            for k, axis in enumerate("xyz")
+        ]
     return [
-        *(curved if is_curved(found) else []),
+        *curved,
         "static inline void calrig_acceleration_g(const float raw_g[3], float true_g[3])",
         "{",
-        *(f"    const float {axis} = raw_g[{k}] - {bias[k]};" for k, axis in enumerate("xyz")),
+        *lines,
         *rows,
         "}",
         "",
@@ -77,7 +107,9 @@ def test_vectors(document: Mapping[str, Any]) -> list[str]:
     ]
     if found:
         bias, matrix = np.array(found["bias_g"]), np.array(found["matrix"])
-        raw = DIRECTIONS @ np.linalg.inv(matrix).T + bias
+        response = np.linalg.inv(matrix)
+        along_g, (quadratic, cubic) = DIRECTIONS @ response.T / np.diag(response), curvature_of(found)
+        raw = DIRECTIONS @ response.T + quadratic * along_g**2 + cubic * along_g**3 + bias
         lines += ["/* raw x, y, z and true x, y, z in g */"]
         lines += _array("calrig_test_accelerations", np.hstack([raw, DIRECTIONS]))
     return [*lines, "#endif", ""]

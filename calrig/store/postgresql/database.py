@@ -54,6 +54,7 @@ class PostgresqlDatabase(Database):
     """
 
     def __init__(self, url: str, writer: str | None, busy_timeout_s: float) -> None:
+        super().__init__()
         parsed = url_of(url)
         self.name = parsed.render_as_string(hide_password=True)
         self._timeout_s = busy_timeout_s
@@ -116,7 +117,7 @@ class PostgresqlDatabase(Database):
             secure(connection)
 
     @contextmanager
-    def reading(self) -> Iterator[Session]:
+    def _reading(self) -> Iterator[Session]:
         """As `Database.reading`."""
         with self._in_words(), Session(self._reads) as session:
             yield session
@@ -129,7 +130,7 @@ class PostgresqlDatabase(Database):
             yield connection
 
     @contextmanager
-    def writing(self, on: Connection | None = None, *, in_turn: bool = True) -> Iterator[Session]:
+    def _writing(self, on: Connection | None, *, in_turn: bool) -> Iterator[Session]:
         """As `Database.writing`."""
         if not self._may_write:
             raise StoreError(f"{self.name}: was opened for reading only")

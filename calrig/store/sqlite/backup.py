@@ -16,11 +16,18 @@ from calrig.store.sqlite.file import connect
 
 @dataclass(frozen=True, slots=True)
 class BackedUp:
-    """What a backup holds; `size_bytes` is its file's."""
+    """What a backup holds.
+
+    Attributes:
+        size_bytes: of its file.
+        trail_seq, trail_sha256: the newest entry of its audit log; 0 and None of an empty one.
+    """
 
     runs: int
     poses: int
     size_bytes: int
+    trail_seq: int
+    trail_sha256: str | None
 
 
 def back_up(url: str, target: Path) -> BackedUp:
@@ -42,4 +49,7 @@ def back_up(url: str, target: Path) -> BackedUp:
     with contextlib.closing(connect(target.resolve().as_uri() + file.AS_IT_LIES)) as copy:
         (runs,) = copy.execute("SELECT count(*) FROM run").fetchone()
         (poses,) = copy.execute("SELECT count(*) FROM pose").fetchone()
-    return BackedUp(runs, poses, target.stat().st_size)
+        has_trail = copy.execute("SELECT 1 FROM sqlite_master WHERE name = 'trail'").fetchone()
+        newest = "SELECT seq, sha256 FROM trail ORDER BY seq DESC LIMIT 1"  # older stores have none
+        head = copy.execute(newest).fetchone() if has_trail else None
+    return BackedUp(runs, poses, target.stat().st_size, *(head or (0, None)))

@@ -85,6 +85,7 @@ class SqliteDatabase(Database):
         busy_timeout_s: float,
         left_by_the_dead: Callable[[Sequence[str]], None] = lambda _: None,
     ) -> None:
+        super().__init__()
         self.path = path
         self.name = str(path)
         self._timeout_s = busy_timeout_s
@@ -186,7 +187,7 @@ class SqliteDatabase(Database):
         return connection
 
     @contextmanager
-    def reading(self) -> Iterator[Session]:
+    def _reading(self) -> Iterator[Session]:
         """As `Database.reading`; a file read as it lies must not have got a writer meanwhile."""
         with self._in_words(), Session(self._engine) as session:
             yield session
@@ -201,7 +202,7 @@ class SqliteDatabase(Database):
             yield connection
 
     @contextmanager
-    def writing(self, on: Connection | None = None, *, in_turn: bool = True) -> Iterator[Session]:  # noqa: ARG002
+    def _writing(self, on: Connection | None, *, in_turn: bool) -> Iterator[Session]:  # noqa: ARG002
         """As `Database.writing`: what was written is on the disk when the block ends."""
         if self._lock is None:
             raise StoreError(f"{self.path}: was opened for reading only")

@@ -132,8 +132,8 @@ def test_a_map_that_moved_is_told_of_and_where(bench):
     assert checked(before[:5], before, stage_map) is None, "five poses tell nothing"
 
 
-def test_what_the_map_may_be_off_by_is_no_movement_of_the_stage(bench):
-    """A wave of order 4 comes up: the map that does not know this wave any better has not moved."""
+def test_a_map_that_knows_an_order_badly_hides_no_change_of_it(bench):
+    """The map's error cancels in a difference of two runs by it: its covariance has no place there."""
     stage, stage_map = bench
     unit = drawn_unit(np.random.default_rng(3))
     before = calibrated_once(4, stage, unit)
@@ -142,7 +142,30 @@ def test_what_the_map_may_be_off_by_is_no_movement_of_the_stage(bench):
     sine = 2 * stage_map.orders.index(4.0) + 1
     variance = stage_map.covariance_deg2.copy()
     variance[sine, sine] += 0.15**2
-    assert not checked(now, before, replace(stage_map, covariance_deg2=variance)).has_moved
+    assert checked(now, before, replace(stage_map, covariance_deg2=variance)).has_moved
+
+
+def test_the_guard_states_the_change_that_it_can_see(bench):
+    """Of waves as large as stated, of a phase drawn at random, most are seen; of a third of it, few."""
+    stage, stage_map = bench
+    unit = drawn_unit(np.random.default_rng(3))
+    before = calibrated_once(4, stage, unit)
+    order, from_deg = 4, checked(before, calibrated_once(5, stage, unit), stage_map).seen_from_deg[1]
+
+    def seen(share: float) -> int:
+        return sum(
+            checked(
+                calibrated_once(100 + seed, changed(share, 36.0 * seed), unit), before, stage_map
+            ).has_moved
+            for seed in range(10)
+        )
+
+    def changed(share: float, phase: float) -> Stage:
+        wave = (order, share * from_deg * math.sqrt(2.0), phase)
+        return Stage((*stage.waves, wave), stage.gap_deg)
+
+    assert seen(1.3) >= 8
+    assert seen(0.3) <= 3
 
 
 def test_the_uncertainty_by_a_map_is_that_of_lines_through_maps_drawn_from_its_covariance(bench):

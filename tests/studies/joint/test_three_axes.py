@@ -288,5 +288,5 @@ def test_faces_are_rotations(face):
     turn, _ = tilted(np.array([0.1, -0.2]))
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     up, _, _ = stage_direction(np.array([0.0]), 0.0)
-    felt = sensed_vector(np.zeros(18), up @ matrix.T).vector_g[0]
+    felt = sensed_vector(np.zeros(21), up @ matrix.T).vector_g[0]
     assert felt[(first + 2) % 3] == 1.0, "at a turn of 0 the third axis is up"

@@ -80,12 +80,13 @@ def _of_unit(bench: CubeBench, solution: Solution) -> tuple[np.ndarray, np.ndarr
 
 
 def _of_map(bench: CubeBench, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """(72,) errors of the map over the dial, and what is stated for them."""
-    on_stage = mapped(solution.fit)
+    """Errors of the map (up to 72) over the dial where it is determined, and what is stated for them."""
+    on_stage = mapped(solution)
     turn = on_stage.stage_deg
     error = np.interp(DIAL_DEG, turn, on_stage.error_deg)
     std = np.interp(DIAL_DEG, turn, on_stage.std_deg)
-    return error - error.mean() - map_error_deg(bench), std
+    off, known = error - map_error_deg(bench), np.isfinite(std)
+    return (off - off[known].mean())[known], std[known]
 
 
 FIVE_TURNS = (1, 1, 1, -1, -1)

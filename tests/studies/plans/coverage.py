@@ -47,7 +47,16 @@ class Covered:
     scale: float
 
 
-def covered(plan: Plan, times: float, share: float, runs: int, seed: int = 0) -> Covered:
+def covered(
+    plan: Plan,
+    times: float,
+    share: float,
+    runs: int,
+    seed: int = 0,
+    *,
+    correlation: float = 0.0,
+    of_bias: bool = False,
+) -> Covered:
     """Runs of noise alone that end once their expanded uncertainty is small enough.
 
     Args:
@@ -56,14 +65,17 @@ def covered(plan: Plan, times: float, share: float, runs: int, seed: int = 0) ->
         share: of that scatter, what a dwell shows of itself: 1 with white noise and nothing else.
         runs: how many.
         seed: of the noise.
+        correlation: of the noise from pose to pose, a first-order autoregression.
+        of_bias: whether the run ends once the standard error of its bias is small enough instead.
     """
     rng = np.random.default_rng(seed)
     planned = plan.poses((-90.0, 90.0))
-    until = Until(expanded_uncertainty_deg=times * SCATTER_DEG)
+    wanted_deg = times * SCATTER_DEG
+    until = Until(bias_std_deg=wanted_deg) if of_bias else Until(expanded_uncertainty_deg=wanted_deg)
     known = StoppingRule(until, planned, [], PERFECT)
     rows = []
     for _ in range(runs):
-        poses = _until_stopped(known, share, rng)
+        poses = _until_stopped(known, share, rng, correlation)
         result = fitted(poses, [], PERFECT, ending=REACHED)
         assert result.over_range and result.bias_std_deg and result.scale and result.scale_std
         at_deg = rng.uniform(-60.0, 60.0)
@@ -81,14 +93,19 @@ def covered(plan: Plan, times: float, share: float, runs: int, seed: int = 0) ->
     return Covered(*np.mean(rows, axis=0).tolist())
 
 
-def _until_stopped(known: StoppingRule, share: float, rng: np.random.Generator) -> list[Pose]:
+def _until_stopped(
+    known: StoppingRule, share: float, rng: np.random.Generator, correlation: float
+) -> list[Pose]:
     """Poses until they are found good enough; of a sweep that is looked at after each pass."""
     turns = any(one.stretch_deg is not None for one in known.planned)
     poses: list[Pose] = []
+    error = 0.0
     delays_deg: list[float] = []
     for one in known.planned:
         within = share * SCATTER_DEG * np.sqrt(rng.chisquare(FREEDOM_WITHIN) / FREEDOM_WITHIN)
-        read_deg = one.target_deg + SCATTER_DEG * rng.standard_normal()
+        drawn = rng.standard_normal()
+        error = correlation * error + (1.0 - correlation**2) ** 0.5 * drawn if poses else drawn
+        read_deg = one.target_deg + SCATTER_DEG * error
         pose = Pose(target_deg=one.target_deg, reading_deg=float(read_deg), reading_stderr_deg=float(within))
         if one.stretch_deg is not None:
             sense = int(np.sign(one.stretch_deg[1] - one.stretch_deg[0]))

@@ -10,7 +10,12 @@ from itertools import pairwise
 import numpy as np
 
 from calrig.calibration.diagnosis.tracing import diagnose
-from calrig.calibration.plan_design.design_problem import DesignProblem, Sweeping, TypeB
+from calrig.calibration.plan_design.design_problem import (
+    DesignProblem,
+    Sweeping,
+    TypeB,
+    stated_for_scatter_1,
+)
 from calrig.calibration.plan_design.layout import DATA_SHEET_WHITE, Pace, Precision, Turning, leverage
 from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference, uncertainty
@@ -62,10 +67,10 @@ def expected_deg(plan: Layout, reference: Reference) -> float:
 
 
 def standard_errors(plan: Layout) -> tuple[float, float]:
-    """Of bias, degrees, and scale, by a plan."""
-    _, bias, scale = leverage(plan.target_deg.tolist())
+    """Of bias, degrees, and scale, as a plan's result is expected to state them."""
+    _, bias, scale = stated_for_scatter_1(len(plan.target_deg), leverage(plan.target_deg.tolist()))
     scatter_deg = PRECISION.scatter_deg(plan.dwell_s)
-    return scatter_deg * math.sqrt(bias), scatter_deg * math.sqrt(scale)
+    return scatter_deg * bias, scatter_deg * scale
 
 
 def laid_out(elevations_deg: Sequence[float], dwell_s: float) -> Layout:

@@ -8,6 +8,7 @@ import pytest
 
 from calrig.calibration.poses import DiagnosisError
 
+from .commands import Bench, case
 from .generate import diagnosed
 
 ENDED_IN_AN_ERROR = [16, 113, 327, 10_105, 10_145, 10_148]
@@ -37,3 +38,21 @@ def test_a_table_of_any_columns_is_diagnosed_or_refused_with_its_reason(number):
         assert "poses" in str(refusal) or "elevation" in str(refusal)
     else:
         assert all(math.isfinite(one) for one in numbers(found))
+
+
+FILES = [1000019, 1000025, 1000158, 1000308, 1000325, 1000777, 1001199]
+"""Numbers of files that ended otherwise: a constant reading, a column that outliers brought back, a negative
+variance, offsets of an accelerometer not read, an exact witness, one dial position, an arc of outliers."""
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("number", FILES)
+def test_a_file_of_any_columns_is_answered_or_refused_by_its_command(number, tmp_path):
+    assert Bench(tmp_path).outcome(case(number)) in {
+        "refused",
+        "done",
+        "nothing",
+        "ambiguous",
+        "unnamed",
+        "named",
+    }

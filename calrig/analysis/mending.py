@@ -1,0 +1,137 @@
+"""Complete changes that an earlier version left half done when its process was killed.
+
+Earlier versions stored an amendment and its entry in the audit log first, then the result that follows from
+it, then the draft. If the process was killed in between, the draft or the result is missing.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterable
+from functools import partial
+
+from calrig.analysis.amendments import Records
+from calrig.analysis.results import refitted
+from calrig.analysis.revisions import EVERY_ENTRY, Issuer
+from calrig.analysis.stored_runs import counted_poses
+from calrig.analysis.unit_of_work import Fits, in_one_transaction
+from calrig.model.result import Result
+from calrig.store import Run, Store
+from calrig.store.trail import Act, Entry, What
+
+log = logging.getLogger(__name__)
+
+_IN_WORDS: dict[What, str] = {
+    "accepted": "the acceptance of its effects",
+    "taken_back": "the withdrawal of its effects",
+    "voided": "that it was voided",
+    "unvoided": "that it is valid again",
+    "excluded": "the exclusion of a pose",
+    "included": "the inclusion of a pose",
+    "moved": "its move to another unit",
+}
+_FOLLOW: tuple[What, ...] = ("drafted", "released", "withdrawn")
+_FIGURES = "bias_deg", "scale", "rms_calibrated_deg", "rms_with_effects_deg"
+_SAME = 1e-6
+"""Relative difference of figures that different versions compute from the same poses."""
+
+
+def mend(store: Store, issuer: Issuer) -> list[str]:
+    """Complete the half-done changes of a store, once for each store; return a sentence for each of them.
+
+    Each is entered in the audit log as `mended`, and so is that the store was checked.
+    """
+    entries = store.trail.entries(what=(*_IN_WORDS, *_FOLLOW, "mended"), limit=EVERY_ENTRY)
+    if any(one.act.what == "mended" and one.act.unit is None for one in entries):
+        return []
+    unfitted, undrafted = _without_result(entries), _without_draft(entries)
+    says = []
+    for entry in unfitted:
+        says += in_one_transaction(store, partial(_mend_result, store, entry))
+    for unit, entry in undrafted.items():
+        says += in_one_transaction(store, partial(_mend_draft, store, issuer, unit, entry))
+    for one in says:
+        log.warning(one)
+    if unfitted or undrafted:
+        n = len({entry.seq for entry in (*unfitted, *undrafted.values())})
+        reason = f"{n} changes by earlier versions checked; {len(says)} were half done and are completed"
+        store.trail.add(Act("mended", reason=reason))
+    return says
+
+
+def _without_result(entries: Iterable[Entry]) -> list[Entry]:
+    """Of each run the last acceptance or withdrawal of effects, unless the unit's next entry is its draft."""
+    found: dict[str | None, Entry] = {}
+    last: dict[str | None, Entry] = {}
+    for entry in entries:
+        act, before = entry.act, last.get(entry.act.unit)
+        if act.what in ("accepted", "taken_back"):
+            found[act.run_id] = entry
+        elif act.what == "drafted" and before is not None and found.get(before.act.run_id) is before:
+            del found[before.act.run_id]
+        last[act.unit] = entry
+    return list(found.values())
+
+
+def _without_draft(entries: Iterable[Entry]) -> dict[str, Entry]:
+    """Of each unit the last change, if no revision was drafted, released or withdrawn since."""
+    found: dict[str, Entry] = {}
+    for entry in entries:
+        act = entry.act
+        for unit in {act.unit, act.detail.get("from")}:
+            if unit is None:
+                continue
+            if act.what in _IN_WORDS:
+                found[unit] = entry
+            else:
+                found.pop(unit, None)
+    return found
+
+
+def _mend_result(store: Store, entry: Entry, _fits: Fits) -> list[str]:
+    run = _run_of(store, entry)
+    if run is None or run.result is None or run.kind == "verification" or run.voided is not None:
+        return []
+    result = refitted(store, run, counted_poses(store, run.id))
+    if _is_same(run.result, result):
+        return []
+    store.runs.set_result(run.id, result)
+    return [_told(store, entry, run, "its result")]
+
+
+def _mend_draft(store: Store, issuer: Issuer, unit: str, entry: Entry, fits: Fits) -> list[str]:
+    run = _run_of(store, entry)
+    if run is None:
+        return []
+    if entry.act.what in ("voided", "unvoided"):
+        Records(store, issuer).refit_effects(run, fits)
+    why = f"completed at the start: {_IN_WORDS[entry.act.what]} (run {run.id}, audit log {entry.seq})"
+    made = issuer.redraft(run.model_copy(update={"unit": unit}), by=entry.act.who, reason=why)
+    if made is None:
+        return []
+    return [_told(store, entry, run, f"revision {made.revision} of unit {unit}")]
+
+
+def _run_of(store: Store, entry: Entry) -> Run | None:
+    return None if entry.act.run_id is None else store.runs.get(entry.act.run_id)
+
+
+def _is_same(stored: Result, computed: Result) -> bool:
+    for name in _FIGURES:
+        before, now = getattr(stored, name), getattr(computed, name)
+        if (before is None) != (now is None):
+            return False
+        if before is not None and not math.isclose(before, now, rel_tol=_SAME, abs_tol=_SAME):
+            return False
+    return True
+
+
+def _told(store: Store, entry: Entry, run: Run, what: str) -> str:
+    """Enter in the audit log what was completed, and return it."""
+    says = (
+        f"run {run.id}: {_IN_WORDS[entry.act.what]} on {entry.at:%Y-%m-%d %H:%M} UTC was interrupted before "
+        f"{what} followed; it is completed now"
+    )
+    store.trail.add(Act("mended", unit=run.unit, rig=run.rig, run_id=run.id, reason=says))
+    return says

@@ -1,0 +1,135 @@
+"""Certificates as they were issued: numbered, listed, and served byte for byte."""
+
+# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, HTTPException, Query
+from fastapi.responses import Response
+from pydantic import Field
+
+from calrig.analysis.calibration_in_force import wanted_revision
+from calrig.analysis.errors import Unknown
+from calrig.api.access import Who, requires
+from calrig.api.context import Context, KnownUnit
+from calrig.api.errors import problems
+from calrig.api.jobs import Heavy
+from calrig.api.models import Body
+from calrig.model.base import Model
+
+router = APIRouter(tags=["certificates"])
+
+
+class NewCertificate(Body):
+    """Of which revision, and in place of which certificate."""
+
+    revision: Annotated[int, Field(ge=1, lt=2**31)]
+    replaces: Annotated[str, Field(max_length=100)] | None = None
+    reason: Annotated[str, Field(max_length=1000)] | None = None
+
+
+class CertificateAnswer(Model):
+    """A certificate that was issued; its bytes are at `/api/certificates/{number}`."""
+
+    number: str
+    unit: str
+    revision: int
+    issued_at: datetime = Field(description="Of the certificate; the document keeps its own.")
+    issued_by: str | None
+    replaces: str | None = Field(description="The certificate that this one corrects.")
+    replaced_by: str | None = Field(description="The certificate that corrects this one.")
+    reason: str | None
+    sha256: dict[Literal["pdf", "dcc", "json"], str | None] = Field(
+        description="Of the bytes served; `pdf` null where none could be made."
+    )
+    trail_seq: int = Field(description="Number of the newest entry of the trail when it was issued.")
+    trail_sha256: str
+
+
+@router.post(
+    "/api/units/{serial:path}/certificates",
+    dependencies=[requires("releaser")],
+    status_code=201,
+    response_model=CertificateAnswer,
+    responses=problems(404, 409, 413, 422, 429, 501),
+    summary="Issue the certificate of a revision",
+)
+def issue(unit: KnownUnit, body: NewCertificate, context: Context, heavy: Heavy, who: Who) -> object:
+    """Its bytes are kept for ever; a correction is a new one that names the one it replaces, and why.
+
+    409 for a draft. Without what makes PDFs there is none, and `sha256.pdf` is null.
+    """
+    from calrig.analysis.certificates import issue_certificate
+    from calrig.export.dcc.signing import SignerMissingError
+
+    try:
+        return issue_certificate(
+            context.store,
+            wanted_revision(context.store, unit.serial, body.revision),
+            context.laboratory,
+            by=who,
+            replaces=body.replaces,
+            reason=body.reason,
+            carried_out=heavy.from_thread,
+        )
+    except SignerMissingError as error:
+        raise HTTPException(501, str(error)) from error
+
+
+@router.get(
+    "/api/certificates",
+    response_model=list[CertificateAnswer],
+    responses=problems(422),
+    summary="Issued certificates, newest first",
+)
+def list_certificates(
+    context: Context,
+    unit: Annotated[str | None, Query(description="Of this unit alone.")] = None,
+    number: Annotated[
+        str | None, Query(min_length=1, max_length=100, description="Whose number has this in it.")
+    ] = None,
+) -> object:
+    """Also those that were replaced."""
+    return context.store.certificates.of(unit, number)
+
+
+@router.get(
+    "/api/certificates/{number}",
+    response_class=Response,
+    responses={
+        200: {
+            "content": {
+                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
+                "application/xml": {"schema": {"type": "string"}},
+                "application/json": {},
+            }
+        },
+        **problems(404, 422),
+    },
+    summary="A certificate as issued",
+)
+def show_certificate(
+    number: str,
+    context: Context,
+    format_: Annotated[Literal["pdf", "dcc", "json"], Query(alias="format")] = "pdf",
+) -> Response:
+    """Byte for byte, its hash as `ETag`; 404 of a PDF that could not be made."""
+    found = context.store.certificates.get(number)
+    if format_ == "json":
+        content: bytes | None = wanted_revision(context.store, found.unit, found.revision).text.encode()
+    else:
+        content = context.store.certificates.content(number, format_)
+    if content is None:
+        raise Unknown(f"certificate {number} was issued without a PDF: take format=dcc")
+    ending, media_type = {
+        "pdf": ("pdf", "application/pdf"),
+        "dcc": ("xml", "application/xml"),
+        "json": ("json", "application/json"),
+    }[format_]
+    kind = "inline" if format_ == "pdf" else "attachment"
+    headers = {
+        "ETag": f'"{found.sha256[format_]}"',
+        "Content-Disposition": f'{kind}; filename="certificate-{number}.{ending}"',
+    }
+    return Response(content, media_type=media_type, headers=headers)

@@ -1,0 +1,139 @@
+"""Certificates as they were issued: number, bytes, hashes, who, when and on what settings."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+from sqlalchemy import ColumnElement
+from sqlalchemy.orm import defer
+from sqlmodel import col, select
+
+from calrig.store.database import Repository
+from calrig.store.errors import NotFound, Refused, Unreadable
+from calrig.store.records import Document
+from calrig.store.tables import CertificateTable
+from calrig.store.trail import Act, append
+
+Form = Literal["pdf", "dcc"]
+
+
+@dataclass(frozen=True, slots=True)
+class IssuedCertificate:
+    """A certificate without its bytes.
+
+    Attributes:
+        issued_by: None where nobody is known by name.
+        replaces: number of the certificate that it corrects, `reason` why.
+        replaced_by: number of the one that corrects it.
+        settings: of the laboratory, as they were.
+        sha256: of the bytes, by `pdf`, `dcc` and `json`; `pdf` None where none could be made.
+        trail_seq, trail_sha256: the head of the trail that it states.
+    """
+
+    number: str
+    unit: str
+    revision: int
+    issued_at: datetime
+    issued_by: str | None
+    replaces: str | None
+    reason: str | None
+    settings: Document
+    sha256: dict[str, str | None]
+    trail_seq: int
+    trail_sha256: str
+    replaced_by: str | None = None
+
+
+class Certificates(Repository):
+    """Every certificate that was issued; none ever changes."""
+
+    def add(self, issued: IssuedCertificate, pdf: bytes | None, dcc: bytes) -> IssuedCertificate:
+        """Store a certificate and its entry in the trail.
+
+        Raises:
+            NotFound: there is no certificate of the number that it replaces.
+            Refused: that one is of another unit, or was replaced already.
+        """
+        said = {name: getattr(issued, name) for name in _COLUMNS}
+        with self._database.writing() as session:
+            if issued.replaces is not None:
+                before = session.get(CertificateTable, issued.replaces)
+                if before is None:
+                    raise NotFound(f"there is no certificate {issued.replaces!r}")
+                if before.unit != issued.unit:
+                    raise Refused(f"certificate {before.number} is of unit {before.unit!r}")
+                wanted = select(CertificateTable.number).where(CertificateTable.replaces == before.number)
+                if (by := session.exec(wanted).first()) is not None:
+                    raise Refused(f"certificate {before.number} was replaced by {by}: replace that one")
+            session.add(CertificateTable(**said, pdf=pdf, dcc=dcc))
+            session.flush()
+            detail = {"number": issued.number, "sha256": issued.sha256, "replaces": issued.replaces}
+            act = Act(
+                "certificate_issued",
+                who=issued.issued_by,
+                unit=issued.unit,
+                revision=issued.revision,
+                reason=issued.reason,
+                detail=detail,
+            )
+            append(session, act, issued.issued_at)
+        return issued
+
+    def get(self, number: str) -> IssuedCertificate:
+        """A certificate by its number (NotFound without)."""
+        found = self._found(col(CertificateTable.number) == number)
+        if not found:
+            raise NotFound(f"there is no certificate {number!r}")
+        return found[0]
+
+    def of(self, unit: str | None = None, number: str | None = None) -> list[IssuedCertificate]:
+        """All of a unit, or of all units, or those whose number has a part in it; newest first."""
+        conditions = [] if unit is None else [col(CertificateTable.unit) == unit]
+        if number is not None:
+            conditions.append(col(CertificateTable.number).contains(number.upper(), autoescape=True))
+        return self._found(*conditions)
+
+    def content(self, number: str, form: Form) -> bytes | None:
+        """Its bytes as issued; None of a PDF that could not be made.
+
+        Raises:
+            NotFound: there is no such certificate.
+            Unreadable: the bytes are not those that were stored.
+        """
+        with self._database.reading() as session:
+            row = session.get(CertificateTable, number)
+            if row is None:
+                raise NotFound(f"there is no certificate {number!r}")
+            check_bytes(row.number, form, getattr(row, form), row.sha256)
+            return row.pdf if form == "pdf" else row.dcc
+
+    def _found(self, *conditions: ColumnElement[bool]) -> list[IssuedCertificate]:
+        wanted = select(CertificateTable).options(
+            defer(CertificateTable.pdf),  # type: ignore[arg-type]
+            defer(CertificateTable.dcc),  # type: ignore[arg-type]
+        )
+        wanted = wanted.where(*conditions).order_by(
+            col(CertificateTable.issued_at).desc(), col(CertificateTable.number)
+        )
+        replaced = select(CertificateTable.replaces, CertificateTable.number)
+        replaced = replaced.where(col(CertificateTable.replaces).is_not(None))
+        with self._database.reading() as session:
+            by = dict(session.exec(replaced).all())
+            return [
+                IssuedCertificate(
+                    **{name: getattr(row, name) for name in _COLUMNS}, replaced_by=by.get(row.number)
+                )
+                for row in session.exec(wanted)
+            ]
+
+
+_COLUMNS = tuple(name for name in CertificateTable.model_fields if name not in ("pdf", "dcc"))
+
+
+def check_bytes(number: str, form: Form, content: bytes | None, sha256: Document) -> None:
+    """Refuse bytes that are not those that were issued (Unreadable)."""
+    if (None if content is None else hashlib.sha256(content).hexdigest()) != sha256[form]:
+        raise Unreadable(f"certificate {number}: its {form.upper()} is not what was issued")
