@@ -339,15 +339,15 @@ def glance(poses: PackedPoses) -> Glanced:
 
 def glance_at_file(file: Path, but: frozenset[str] = frozenset()) -> list[Glanced]:
     """Screens the runs of a Parquet file, but for some."""
-    found = []
+    found: list[Glanced] = []
     for poses in read_file(file):
         wanted = [k for k, run in enumerate(poses.run_ids) if run not in but]
-        found += _glances(
-            lambda some, poses=poses: glance(poses.runs(np.array(some, dtype=np.intp))),
-            wanted,
-            poses.run_ids.__getitem__,
-        )
+        found += _glances(partial(_glance_at, poses), wanted, poses.run_ids.__getitem__)
     return found
+
+
+def _glance_at(poses: PackedPoses, some: Sequence[int]) -> Glanced:
+    return glance(poses.runs(np.array(some, dtype=np.intp)))
 
 
 def _glances(
