@@ -32,6 +32,7 @@ class SharedProcesses(Processes):
         self,
         function: Callable[..., T],
         *,
+        user: str = "",
         begun: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] | None = None,
     ) -> T:
@@ -42,7 +43,7 @@ class SharedProcesses(Processes):
         def heard(call: Callable[..., None]) -> Callable[..., None]:
             return lambda *told: (here.call_soon_threadsafe(call, *told), None)[1]
 
-        work = super().run(function, begun=heard(begun), progress=progress and heard(progress))
+        work = super().run(function, user=user, begun=heard(begun), progress=progress and heard(progress))
 
         def begin() -> None:
             tasks.append(self._loop.create_task(work))

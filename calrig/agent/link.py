@@ -120,6 +120,26 @@ def _connected(url: str) -> Centre:
         raise
 
 
+_OWNS = "SELECT pg_has_role(session_user, relowner, 'MEMBER') FROM pg_class WHERE oid = to_regclass('bench')"
+ASKS_S = 2
+
+
+def is_of_owner(url: str) -> bool:
+    """Return whether a URL logs in as the owner of the centre's database, or as one who may all it may.
+
+    No role of a bench may. False if the centre cannot be asked within `ASKS_S`.
+
+    Args:
+        url: of the database, as libpq takes it.
+    """
+    try:
+        with psycopg.connect(url, autocommit=True, **{**ALIVE, "connect_timeout": ASKS_S}) as connection:
+            found = connection.execute(_OWNS).fetchone()
+    except psycopg.Error:
+        return False
+    return found is not None and bool(found[0])
+
+
 def _said(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -35,7 +35,9 @@ from calrig.errors import WorkError
 from calrig.estimation.angles import FloatArray
 from calrig.export.poses_parquet import parquet_files, read_file
 from calrig.processes.pool import Processes
+from calrig.processes.pool import WorkError as HeavyWorkError
 from calrig.program_text import sha256_of_program
+from calrig.store.errors import StoreError, StoreUnavailableError
 
 if TYPE_CHECKING:
     from calrig.store import Store
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 K = TypeVar("K")
+R = TypeVar("R")
 AHEAD = 2
 """Questions to a worker that are ready when it has answered; more would only fill memory."""
 
@@ -235,11 +238,19 @@ NOTHING = (None, "nothing")
 
 @dataclass(frozen=True, slots=True)
 class Glanced:
-    """What the screen says of some runs: their ids, those that stand out, and sums for the rigs' maps."""
+    """What the screen says of some runs.
+
+    Attributes:
+        run_ids: of all of them.
+        standing_out: of those that stand out.
+        sums: for the rigs' maps.
+        failed: why, by the id, of those that could not be read or screened.
+    """
 
     run_ids: tuple[str, ...]
     standing_out: tuple[str, ...]
     sums: PlaceSums
+    failed: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,10 +274,12 @@ def reanalyse(
     progress: Progress,
     poses: Path | None = None,
 ) -> dict[str, Any]:
-    """Reads all runs once more; CONTRACT section 10's document.
+    """Reads all runs once more; CONTRACT section 10's document, and why runs in `failed` have no part in it.
 
-    A run is diagnosed that stands out, or in which something was found before. What is found is kept as soon
-    as it is known, and not looked for again in the same poses by the same catalogue.
+    A run that cannot be read, or whose diagnosis is lost, is told there and keeps no other one from being
+    read. Nothing is kept of it, so that the next call tries it again. A run is diagnosed that stands out, or
+    in which something was found before. What is found is kept as soon as it is known, and not looked for
+    again in the same poses by the same catalogue.
 
     Args:
         store: with the runs.
@@ -276,25 +289,32 @@ def reanalyse(
         poses: Parquet files to screen in the place of the store's poses; runs they lack are read from it.
 
     Raises:
-        WorkError: diagnoses were lost; those that were made are kept.
+        WorkError: a worker runs another calrig.
         InputError: the Parquet files cannot be read.
         StoreError: the store cannot.
     """
     began_s = time.monotonic()
     listed = {run.id: run for part in store.fleet.completed_runs() for run in part}
     with progress("screening") as show:
-        standing_out, sums = _screened(store, listed, poses, show)
-    chosen = [run for run in listed.values() if run.id in standing_out or run.verdict not in NOTHING]
+        standing_out, sums, failed = _screened(store, listed, poses, show)
+    chosen = [
+        run
+        for run in listed.values()
+        if run.id not in failed and (run.id in standing_out or run.verdict not in NOTHING)
+    ]
     with progress("diagnosing") as show:
-        verdicts = _diagnosed(store, results, chosen, workers, show)
+        verdicts, lost = _diagnosed(store, results, chosen, workers, show)
     changed = [
         {"run_id": run.id, "verdict_before": run.verdict, "verdict_now": now}
         for run in chosen
-        if (now := verdicts[run.id]) != run.verdict and {now, run.verdict} != set(NOTHING)
+        if run.id not in lost
+        and (now := verdicts[run.id]) != run.verdict
+        and {now, run.verdict} != set(NOTHING)
     ]
     return {
         "runs": len(listed),
         "changed": changed,
+        "failed": [{"run_id": run_id, "error": error} for run_id, error in (failed | lost).items()],
         "rigs": _maps(sums),
         "duration_s": time.monotonic() - began_s,
     }
@@ -319,11 +339,47 @@ def glance(poses: PackedPoses) -> Glanced:
 
 def glance_at_file(file: Path, but: frozenset[str] = frozenset()) -> list[Glanced]:
     """Screens the runs of a Parquet file, but for some."""
-    found = []
+    found: list[Glanced] = []
     for poses in read_file(file):
         wanted = [k for k, run in enumerate(poses.run_ids) if run not in but]
-        found.append(glance(poses.runs(np.array(wanted, dtype=np.intp)) if but else poses))
+        found += _glances(partial(_glance_at, poses), wanted, poses.run_ids.__getitem__)
     return found
+
+
+def _glance_at(poses: PackedPoses, some: Sequence[int]) -> Glanced:
+    return glance(poses.runs(np.array(some, dtype=np.intp)))
+
+
+def _glances(
+    work: Callable[[Sequence[R]], Glanced], runs: Sequence[R], id_of: Callable[[R], str]
+) -> Iterator[Glanced]:
+    """Screens some runs together; if that fails, each half of them, so that a run fails alone.
+
+    Raises:
+        StoreUnavailableError: not because of a run.
+    """
+    if not runs:
+        return
+    try:
+        found = work(runs)
+    except StoreUnavailableError:
+        raise
+    except Exception as error:  # noqa: BLE001 (whatever it is, the report tells it of its run)
+        if len(runs) > 1:
+            middle = len(runs) // 2
+            yield from _glances(work, runs[:middle], id_of)
+            yield from _glances(work, runs[middle:], id_of)
+            return
+        run_id = id_of(runs[0])
+        found = Glanced((run_id,), (), merged(()), {run_id: _reason(error)})
+    yield found
+
+
+def _reason(error: Exception) -> str:
+    """What a report says of a run that failed, in one line."""
+    said = " ".join(str(error).split())
+    in_words = isinstance(error, StoreError | HeavyWorkError | RunsError)
+    return said if in_words else f"{type(error).__name__}: {said}"
 
 
 def glance_at_files(
@@ -347,9 +403,10 @@ def glance_at_files(
 
 def _screened(
     store: Store, listed: dict[str, ListedRun], poses: Path | None, show: Callable[[float], None]
-) -> tuple[set[str], PlaceSums]:
-    """Ids of the runs that stand out, and the sums for the rigs' maps."""
+) -> tuple[set[str], PlaceSums, dict[str, str]]:
+    """Ids of the runs that stand out, the sums for the rigs' maps, and why runs failed."""
     standing_out: set[str] = set()
+    failed: dict[str, str] = {}
     seen: set[str] = set()
     parts: list[PlaceSums] = []
 
@@ -357,6 +414,7 @@ def _screened(
         for one in glanced:
             seen.update(one.run_ids)
             standing_out.update(one.standing_out)
+            failed.update(one.failed)
             parts.append(one.sums)
         if len(parts) > MAPS_TOGETHER:
             parts[:] = [merged(parts)]
@@ -365,9 +423,14 @@ def _screened(
     if poses is not None:
         for glanced in glance_at_files(parquet_files(poses), listed.__contains__):
             take(glanced)
-    for piece in store.fleet.packed_poses([run for run in listed.values() if run.id not in seen]):
-        take([glance(piece)])
-    return standing_out, merged(parts)
+
+    def read(some: Sequence[ListedRun]) -> Glanced:
+        (piece,) = store.fleet.packed_poses(some)
+        return glance(piece)
+
+    for some in store.fleet.pieces([run for run in listed.values() if run.id not in seen]):
+        take(_glances(read, some, lambda run: run.id))
+    return standing_out, merged(parts), failed
 
 
 def _diagnosed(
@@ -376,37 +439,52 @@ def _diagnosed(
     chosen: Sequence[ListedRun],
     workers: Callable[[], AbstractContextManager[Workers]],
     show: Callable[[float], None],
-) -> dict[str, str | None]:
-    """Today's verdict on each of these runs, None where it cannot be diagnosed."""
+) -> tuple[dict[str, str | None], dict[str, str]]:
+    """Today's verdict on each of these runs, None where it cannot be diagnosed; and why others failed."""
     kept, today = results.findings.all(), catalogue_version()
-    verdicts = {
-        run.id: known.verdict
-        for run in chosen
-        if (known := kept.get(run.id)) is not None
-        and known.catalogue == today
-        and known.poses_sha256 == poses_sha256(store, run.id)
-    }
-    waiting = [run.id for run in chosen if run.id not in verdicts]
+    verdicts: dict[str, str | None] = {}
+    lost: dict[str, str] = {}
+    waiting: list[str] = []
+    for run in chosen:
+        known = kept.get(run.id)
+        if known is not None and known.catalogue == today:
+            with _told_of(run.id, lost):
+                if known.poses_sha256 == poses_sha256(store, run.id):
+                    verdicts[run.id] = known.verdict
+        if run.id not in verdicts and run.id not in lost:
+            waiting.append(run.id)
     if not waiting:
-        return verdicts
-    lost: dict[str, Exception] = {}
+        return verdicts, lost
+
+    def asked() -> Iterator[tuple[tuple[str, str], Callable[[], Answer]]]:
+        for run_id in waiting:
+            with _told_of(run_id, lost):
+                one = (run_id, poses_sha256(store, run_id)), _question(store, run_id)
+            if run_id not in lost:
+                yield one
+
     with workers() as found:
-        asked = (((run_id, poses_sha256(store, run_id)), _question(store, run_id)) for run_id in waiting)
-        for (run_id, sha256), answer in found.answers(asked):
+        for (run_id, sha256), answer in found.answers(asked()):
             if isinstance(answer, Exception):
-                lost[run_id] = answer
+                lost[run_id] = _reason(answer)
                 continue
             if answer.catalogue != today:
                 raise WorkError(f"{found.what}: run another calrig than this one: install the same there")
             results.findings.save(run_id, sha256, today, answer.diagnosis, answer.error)
             verdicts[run_id] = None if answer.diagnosis is None else answer.diagnosis["verdict"]
             show(len(verdicts) / len(chosen))
-    for run_id, error in lost.items():
-        raise WorkError(
-            f"{len(lost)} of {len(waiting)} diagnoses were lost, of run {run_id} first ({error}); the others "
-            "are kept: the same command goes on with what is left"
-        )
-    return verdicts
+    return verdicts, lost
+
+
+@contextmanager
+def _told_of(run_id: str, failed: dict[str, str]) -> Iterator[None]:
+    """Note what the block raises as why the run failed; a store that is unavailable fails no run alone."""
+    try:
+        yield
+    except StoreUnavailableError:
+        raise
+    except Exception as error:  # noqa: BLE001 (whatever it is, the report tells it of its run)
+        failed[run_id] = _reason(error)
 
 
 def poses_sha256(store: Store, run_id: str) -> str:

@@ -201,6 +201,15 @@ def address_of(asked: HTTPConnection) -> str:
     return asked.client.host if asked.client else "an unknown address"
 
 
+def share_of(asked: HTTPConnection) -> str:
+    """Whose share of heavy work a request takes: the user's, or that of the network that it came from."""
+    caller = caller_of(asked)
+    if caller is not None and caller.name is not None:
+        return f"user {caller.name}"
+    address = address_of(asked)
+    return f"address {network_of(address) or address}"
+
+
 # In the event loop, all of these: a plain function would wait for a thread, and a stop with it.
 async def _name(request: Request) -> str | None:
     caller = caller_of(request)

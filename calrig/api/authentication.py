@@ -35,7 +35,8 @@ from calrig.api.access import (
 from calrig.store.users import User, token_digest
 
 SESSION_S = 12 * 3600.0
-MOST_SESSIONS = 100
+MOST_OF_A_TOKEN = 20
+MOST_SESSIONS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,8 @@ class Sessions:
     """A random value for each session, kept in memory and no longer than a day's work.
 
     A session says by which token it was begun, and opens what that token opens at the time: it ends with the
-    token. The oldest one gives way to one too many; all end with the service.
+    token. Of one token's, the oldest gives way to one too many, so that logins of one user end nobody else's;
+    the total is bounded as well. All end with the service.
 
     Args:
         clock: seconds that only go forward.
@@ -63,7 +65,10 @@ class Sessions:
         """A new session's value."""
         now_s = self._clock()
         self._kept = {value: kept for value, kept in self._kept.items() if kept.ends_s > now_s}
-        while len(self._kept) >= MOST_SESSIONS:
+        of_token = [value for value, kept in self._kept.items() if kept.token_sha256 == token_sha256]
+        if len(of_token) >= MOST_OF_A_TOKEN:
+            del self._kept[of_token[0]]
+        elif len(self._kept) >= MOST_SESSIONS:
             del self._kept[next(iter(self._kept))]
         value = secrets.token_urlsafe(32)
         self._kept[_digest(value)] = _Session(now_s + SESSION_S, token_sha256)

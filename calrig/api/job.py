@@ -33,6 +33,7 @@ class Job:
 
     Args:
         processes: carry out what is heavy in it.
+        user: whose share of the processes it takes.
         work: makes the question, has it answered by `run`, and keeps what came of it.
         kept_at: the path where the answer of `work` is then found; without it, it is kept here.
     """
@@ -40,6 +41,7 @@ class Job:
     def __init__(
         self,
         processes: Processes,
+        user: str,
         work: Callable[[Job], Awaitable[Any]],
         kept_at: Callable[[Any], str] | None = None,
     ) -> None:
@@ -51,7 +53,7 @@ class Job:
         self.error_status: int | None = None
         self.content = b""
         self.asked = asyncio.Event()
-        self._processes = processes
+        self._processes, self._user = processes, user
         self._kept_at = kept_at
         self._is_answered = False
         self._answer: Any = None
@@ -65,7 +67,7 @@ class Job:
         self.asked.set()
         self.fraction = 0.0 if tells_progress else None
         told = self._told if tells_progress else None
-        answer = await self._processes.run(function, begun=self._begun, progress=told)
+        answer = await self._processes.run(function, user=self._user, begun=self._begun, progress=told)
         self._is_answered = True
         return answer
 

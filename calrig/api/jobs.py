@@ -14,7 +14,7 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.api.access import requires
+from calrig.api.access import requires, share_of
 from calrig.api.context import Context, context_of
 from calrig.api.errors import CLIENT_LEFT, Responses, problems
 from calrig.api.job import Job
@@ -123,8 +123,9 @@ class BackgroundWork:
             WorkRefused: too much is waiting.
             HTTPException: the client has left.
         """
-        self._context.processes.require_room()
-        job = Job(self._context.processes, work, kept_at)
+        user = share_of(self._request)
+        self._context.processes.require_room(user)
+        job = Job(self._context.processes, user, work, kept_at)
         left = asyncio.ensure_future(self._has_left())
         asked = asyncio.ensure_future(job.asked.wait())
         is_taken_on = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from contextlib import closing, nullcontext, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -35,6 +36,10 @@ def agent(
     context: typer.Context,
     db: Annotated[
         str | None, typer.Option(metavar="URL", help="The centre's database [CALRIG_DB, or as enrolled].")
+    ] = None,
+    db_file: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A file with that URL, which keeps its password from others."),
     ] = None,
     config: Config = None,
     spool: Annotated[
@@ -67,7 +72,7 @@ def agent(
     from calrig.logs import configure_log
     from calrig.settings import load_settings
 
-    url, settings = _checked_url(_centre_url(db)), load_settings(config)
+    url, settings = _checked_url(_centre_url(db, db_file)), load_settings(config)
     configure_log(log_format)
     access = None if port is None else access_here(host, address_of(host, port), settings)
     with (
@@ -78,14 +83,41 @@ def agent(
         _work(service, url, listener, access)
 
 
-def _centre_url(db: str | None) -> str:
-    """The URL of the centre's database: as named, or as `calrig agent enroll` has left it."""
+def _centre_url(db: str | None, db_file: Path | None) -> str:
+    """Return the URL of the centre's database: as named, or as `calrig agent enroll` has left it.
+
+    Raises:
+        InputError: two URLs are named, or a file that cannot be read.
+    """
     from calrig.settings import centre_url_file, store_url
 
-    kept = centre_url_file()
-    if db or os.environ.get("CALRIG_DB") or not kept.is_file():
+    if db_file is not None and db:
+        raise InputError("--db and --db-file both name the centre's database: leave one of them out")
+    kept = db_file or centre_url_file()
+    if db_file is None and (db or os.environ.get("CALRIG_DB") or not kept.is_file()):
+        _warn_of_password(db)
         return store_url(db)
-    return kept.read_text().strip()
+    try:
+        return kept.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{kept}: cannot be read as the URL of the centre's database ({error})") from error
+
+
+def _warn_of_password(db: str | None) -> None:
+    """Warn on standard error if the command line holds a password."""
+    from sqlalchemy import make_url
+
+    from calrig.store.engines import is_centre
+
+    if db is None or not is_centre(db):
+        return
+    url = make_url(db)
+    if url.password is not None or "password" in url.query:
+        typer.echo(
+            "calrig: warning: --db contains a password, and everybody on this machine can read the arguments "
+            "of programs: name the URL in CALRIG_DB or by --db-file FILE, or join by `calrig agent enroll`",
+            err=True,
+        )
 
 
 def _checked_url(url: str) -> str:
@@ -130,6 +162,13 @@ def _spool_url(spool: str | None) -> str:
 def _work(service: RunService, url: str, listener: socket.socket | None, access: Access | None) -> None:
     """Works for the centre, and serves the bench's own page where that was asked for."""
     from calrig.agent.agent import Agent
+    from calrig.agent.link import is_of_owner
+
+    if is_of_owner(url):
+        raise InputError(
+            "the URL logs in as the owner of the centre's database, and an agent needs its bench's role: "
+            "add it at the centre (`calrig bench add NAME`) and join by `calrig agent enroll`"
+        )
 
     rigs = ", ".join(state.name for state in service.rigs())
     with closing(Agent(service, url)) as at_work:

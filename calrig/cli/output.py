@@ -316,6 +316,9 @@ def print_fleet(found: dict[str, Any]) -> None:
     if changed:
         rows = [(c["run_id"], c["verdict_before"] or "", c["verdict_now"] or "") for c in changed]
         print_table(("run", "before", "now"), rows, justify="left")
+    if found["failed"]:
+        lost = [(one["run_id"], printable(one["error"])) for one in found["failed"]]
+        print_table(("run", "failed, and is tried again next time"), lost, justify="left")
     maps = [(rig["rig"], rig["units"], rig["map"]["error_deg"]) for rig in found["rigs"]]
     by_rig = [
         (name, str(units), str(len(errors)), number(max(map(abs, errors), default=None), "°"))

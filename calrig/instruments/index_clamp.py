@@ -14,7 +14,7 @@ from typing import Self
 from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.ports import Port, open_port
-from calrig.instruments.stages.lines import LineWire
+from calrig.instruments.stages.lines import MOST_QUOTED, LineWire
 
 BAUDRATE = 115_200
 WAKES_S = 3.0
@@ -43,7 +43,7 @@ class IndexClamp:
 
     def identify(self) -> str:
         """Who it is (ClampError where it says nothing)."""
-        give_up_s = self._now_s() + WAKES_S
+        give_up_s, misread = self._now_s() + WAKES_S, None
         while self._now_s() < give_up_s:
             raise_if_cancelled()
             self._lines.old_lines()
@@ -51,6 +51,12 @@ class IndexClamp:
             answer = self._lines.line(self._now_s() + ASKED_AGAIN_S)
             if answer is not None and answer.startswith("INDEX"):
                 return answer
+            misread = answer or misread
+        if misread is not None:
+            raise ClampError(
+                f"{self._name} answers ID with {misread[:MOST_QUOTED]!r} instead of INDEX…: check that its "
+                "port is the clamp's"
+            )
         raise ClampError(f"{self._name} does not answer ID: check its power, cable and baud rate")
 
     def turn_to(self, mount_deg: float, axis: str) -> None:

@@ -16,11 +16,14 @@ from contextlib import suppress
 from typing import Protocol, TypeVar
 
 from calrig.processes import child
+from calrig.processes.turns import Turns
 
 T = TypeVar("T")
 
 MOST_WAITING = 16
-"""Pieces that wait for a process; more are refused at once."""
+"""Pieces of one user that wait for a process; more are refused at once, and nobody else's with them."""
+MOST_WAITING_ALL = 256
+"""Of all users: a bound of the memory that waiting pieces take."""
 LONGEST_S = 300.0
 MOST_BYTES = 4_000_000_000
 """Of one process; less on a machine where all of them together would take more than half the memory."""
@@ -63,14 +66,14 @@ class Processes:
         self.slots = slots or max(1, (os.cpu_count() or 1) - 1)
         self._most_bytes = most_bytes or min(MOST_BYTES, _machine_bytes() // (2 * self.slots))
         self._longest_s = longest_s
-        self._free = asyncio.Semaphore(self.slots)
+        self._turns = Turns(self.slots)
         self._idle: list[Process] = []
-        self._in_hand = 0
 
     async def run(
         self,
         function: Callable[..., T],
         *,
+        user: str = "",
         begun: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] | None = None,
     ) -> T:
@@ -78,26 +81,23 @@ class Processes:
 
         Args:
             function: of a module, or a `partial` of one; it, its arguments and what it gives are pickled.
+            user: whose share it takes: the pieces of several wait in turn.
             begun: is called when its turn has come.
             progress: is called with the share that is done, which the function tells by calling what it is
                 given as `progress`; without it, it is given nothing.
 
         Raises:
-            WorkRefused: as many as may wait are waiting.
+            WorkRefused: as many of the user's pieces as may wait are waiting.
             WorkTooLarge: it took too much memory or time.
             WorkLost: its process was killed.
         """
-        self.require_room()
-        self._in_hand += 1
-        try:
-            async with self._free:
-                begun()
-                asked = function, progress is not None
-                piece = await asyncio.to_thread(pickle.dumps, asked, pickle.HIGHEST_PROTOCOL)
-                reply = await self._carried_out(piece, progress or _unheard)
-                error, given = await asyncio.to_thread(pickle.loads, reply)  # from our own child
-        finally:
-            self._in_hand -= 1
+        self.require_room(user)
+        async with self._turns.slot(user):
+            begun()
+            asked = function, progress is not None
+            piece = await asyncio.to_thread(pickle.dumps, asked, pickle.HIGHEST_PROTOCOL)
+            reply = await self._carried_out(piece, progress or _unheard)
+            error, given = await asyncio.to_thread(pickle.loads, reply)  # from our own child
         if isinstance(error, MemoryError):
             raise WorkTooLarge(
                 f"it took more than {self._most_bytes / 1e6:.0f} MB of memory and was ended: take fewer "
@@ -107,12 +107,17 @@ class Processes:
             raise error
         return given  # type: ignore[no-any-return]
 
-    def require_room(self) -> None:
-        """Raises WorkRefused where as many as may wait are waiting: asked before a piece is made."""
-        if self._in_hand >= self.slots + MOST_WAITING:
-            raise WorkRefused(
-                f"{self._in_hand} diagnoses, imports and studies are in hand or waiting: try again later"
-            )
+    def require_room(self, user: str = "") -> None:
+        """Raise WorkRefused if as many as may wait are waiting: asked before a piece is made."""
+        in_hand = self._turns.in_hand
+        for whose, n, most in (
+            ("one user", in_hand[user], MOST_WAITING),
+            ("all users", in_hand.total(), MOST_WAITING_ALL),
+        ):
+            if n >= self.slots + most:
+                raise WorkRefused(
+                    f"{n} diagnoses, imports and studies of {whose} are in hand or waiting: try again later"
+                )
 
     async def close(self) -> None:
         """Ends the processes that wait; those that work end with who waits for them."""

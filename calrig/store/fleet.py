@@ -88,6 +88,17 @@ class Fleet(Repository):
             last = rows[-1][0]
             yield [ListedRun(*row[:-1], n_poses=row[-1] or 0) for row in rows]
 
+    def pieces(self, runs: Sequence[ListedRun]) -> Iterator[Sequence[ListedRun]]:
+        """Runs in pieces whose poses `packed_poses` reads together; a run with very many is one by itself."""
+        begin, n_poses = 0, 0
+        for k, run in enumerate(runs):
+            if k > begin and n_poses + run.n_poses > POSES_AT_ONCE:
+                yield runs[begin:k]
+                begin, n_poses = k, 0
+            n_poses += run.n_poses
+        if begin < len(runs):
+            yield runs[begin:]
+
     def packed_poses(self, runs: Sequence[ListedRun], *, with_gyro: bool = False) -> Iterator[PackedPoses]:
         """The poses that count of some runs, in the order of `completed_runs`, some runs at a time.
 
@@ -98,21 +109,9 @@ class Fleet(Repository):
         Raises:
             StoreDamagedError: poses are missing, or are not what was stored.
         """
-        for some in _together(runs):
+        for some in self.pieces(runs):
             with self._database.reading() as session:
                 yield _packed(session, some, with_gyro=with_gyro)
-
-
-def _together(runs: Sequence[ListedRun]) -> Iterator[Sequence[ListedRun]]:
-    """Runs one after the other whose poses are read together; one with very many by itself."""
-    begin, n_poses = 0, 0
-    for k, run in enumerate(runs):
-        if k > begin and n_poses + run.n_poses > POSES_AT_ONCE:
-            yield runs[begin:k]
-            begin, n_poses = k, 0
-        n_poses += run.n_poses
-    if begin < len(runs):
-        yield runs[begin:]
 
 
 def _packed(session: Session, runs: Sequence[ListedRun], *, with_gyro: bool) -> PackedPoses:

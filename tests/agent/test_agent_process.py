@@ -14,6 +14,7 @@ from pathlib import Path
 import httpx
 import pytest
 from a_bench import ENDLESS, HandWritten
+from click.testing import Result
 from support import QUICK, ended, running_service, serving, wait_for
 from typer.testing import CliRunner
 
@@ -35,12 +36,12 @@ stage = { velocity_dps = 60.0, acceleration_dps2 = 240.0, homing_velocity_dps = 
 def agent_process(centre: HandWritten, folder: Path, spool: Path, *options: str):
     """`calrig agent` with a simulated rig of its own; its process, once it says that it is there."""
     (folder / "calrig.toml").write_text(SIMULATED)
-    named = ("--db", centre.bench_url, "--config", folder / "calrig.toml", "--spool", spool)
+    named = ("--config", folder / "calrig.toml", "--spool", spool)
     process = subprocess.Popen(
         [sys.executable, "-m", "calrig", "agent", *map(str, named), *options],
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "CALRIG_TOKEN": "a-token-of-the-bench"},
+        env={**os.environ, "CALRIG_DB": centre.bench_url, "CALRIG_TOKEN": "a-token-of-the-bench"},
     )
     try:
         process.said = process.stdout.readline()
@@ -99,6 +100,40 @@ def test_a_way_that_anybody_could_listen_to_is_refused(db: str, status: int, sai
     assert done.exit_code == status
     (line,) = done.stderr.splitlines()
     assert line.startswith("calrig: ") and said in line
+
+
+def agent_with(tmp_path: Path, *options: str) -> Result:
+    """`calrig agent` in this process, until it ends by itself."""
+    (tmp_path / "calrig.toml").write_text(SIMULATED)
+    named = ("--config", tmp_path / "calrig.toml", "--spool", tmp_path / "spool.db", *options)
+    return CliRunner().invoke(app, ["agent", *map(str, named)], catch_exceptions=False)
+
+
+def test_the_owners_url_ends_it_with_a_reason(centre: HandWritten, tmp_path: Path) -> None:
+    kept = tmp_path / "centre.url"
+    kept.write_text(centre.url + "\n")
+    done = agent_with(tmp_path, "--db-file", str(kept))
+    assert done.exit_code == 2
+    (line,) = done.stderr.splitlines()
+    assert "owner of the centre's database" in line and "calrig agent enroll" in line
+
+
+def test_a_password_in_the_arguments_gives_a_warning_that_names_the_other_ways(tmp_path: Path) -> None:
+    away = "postgresql+psycopg://bench:secret@centre.example/calrig"
+    done = agent_with(tmp_path, "--db", away)
+    warning, refused = done.stderr.splitlines()
+    assert "warning: --db contains a password" in warning
+    assert all(way in warning for way in ("CALRIG_DB", "--db-file", "enroll"))
+    assert "secret" not in warning + refused
+    kept = tmp_path / "centre.url"
+    kept.write_text(away)
+    assert agent_with(tmp_path, "--db-file", str(kept)).stderr.splitlines() == [refused]
+
+
+def test_a_file_without_the_url_is_named(tmp_path: Path) -> None:
+    done = agent_with(tmp_path, "--db-file", str(tmp_path / "none.url"))
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert "none.url: cannot be read" in done.stderr
 
 
 def test_help_tells_of_agent_and_enroll() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +73,8 @@ def runs(store: Store) -> dict[str, Run]:
 
 def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs, processes):
     found = reanalyse(store, store, processes, unseen)
-    assert set(found) == {"runs", "changed", "rigs", "duration_s"}
+    assert set(found) == {"runs", "changed", "failed", "rigs", "duration_s"}
+    assert found["failed"] == []
     assert found["runs"] == 4
     assert found["changed"] == [
         {"run_id": runs["backlash"].id, "verdict_before": None, "verdict_now": "named"},
@@ -105,6 +109,42 @@ def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_
     assert store.findings.all() == {}
     direct = reanalyse(store, store, processes, unseen)
     assert (found["runs"], found["changed"], found["rigs"]) == (4, direct["changed"], direct["rigs"])
+
+
+def damage(store: Store, run: Run, what: str) -> None:
+    """Spoils the third pose of a run in the store's file."""
+    with store._database.writing() as session:
+        session.connection().exec_driver_sql(
+            f"UPDATE pose SET {what} WHERE pose_index = 2 "
+            f"AND run_id = (SELECT id FROM run WHERE uid = '{run.id}')"
+        )
+
+
+@pytest.mark.parametrize("what", ["reading_deg = reading_deg + 1", "reading_deg = 'warm'"])
+def test_a_run_that_cannot_be_read_is_a_line_of_the_report(store, runs, processes, what):
+    whole = reanalyse(store, store, processes, unseen)
+    damage(store, runs["noise"], what)
+    damage(store, runs["mistaken"], what)
+    found = reanalyse(store, store, processes, unseen)
+    assert {one["run_id"] for one in found["failed"]} == {runs["noise"].id, runs["mistaken"].id}
+    assert all("damaged" in one["error"] and "\n" not in one["error"] for one in found["failed"])
+    assert (found["runs"], found["changed"]) == (4, whole["changed"][:1])
+
+
+def test_a_diagnosis_whose_process_dies_is_a_line_and_is_made_the_next_time(store, runs, processes):
+    def kill_first() -> AbstractContextManager[Workers]:
+        with processes() as real:
+            deaths = iter([partial(signal.raise_signal, signal.SIGKILL)])
+            return nullcontext(replace(real, submit=lambda asked: real.submit(next(deaths, asked))))
+
+    first = reanalyse(store, store, kill_first, unseen)
+    (failed,) = first["failed"]
+    assert failed["run_id"] == runs["backlash"].id
+    assert "its process ended (status -9)" in failed["error"]
+    assert [one["run_id"] for one in first["changed"]] == [runs["mistaken"].id]
+    again = reanalyse(store, store, processes, unseen)
+    assert again["failed"] == []
+    assert [one["run_id"] for one in again["changed"]] == [runs["backlash"].id, runs["mistaken"].id]
 
 
 def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store, processes):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from support import imported
 
 
 def test_the_default_plan_is_told_for_the_first_rig(shared_client):
@@ -53,6 +54,18 @@ def test_a_field_without_a_name_makes_no_header_that_a_server_may_not_send(share
     answer = shared_client.post("/api/plans/estimate", json={"": {}, "\t": 3, "stop": 1})
     assert (answer.status_code, answer.headers["Calrig-Fields"]) == (422, "%09 stop")
     assert "Calrig-Fields" not in shared_client.post("/api/plans/estimate", json={"": {}}).headers
+
+
+@pytest.mark.parametrize(
+    "path", ["/api/plans/estimate", "/api/runs/{run}/diagnosis/accept", "/api/benches/enroll"]
+)
+@pytest.mark.parametrize("body", [{"": {}}, [], "no object", None])
+def test_a_body_with_nothing_to_name_is_refused_and_the_connection_lives_on(shared_client, path, body):
+    run = imported(shared_client, "AS-7")
+    answer = shared_client.post(path.format(run=run["id"]), json=body)
+    assert answer.status_code == 422
+    assert "" not in answer.headers.get("Calrig-Fields", "none").split(" ")
+    assert shared_client.get("/api/health").is_success
 
 
 def test_a_plan_is_designed_for_an_uncertainty_and_a_run_takes_it(shared_client):

@@ -11,7 +11,18 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 from simulated_devices import plug
-from support import LONG, PATIENCE_S, QUICK, declared, ended, imported, running_service, serving, wait_for
+from support import (
+    LONG,
+    PATIENCE_S,
+    POSES,
+    QUICK,
+    declared,
+    ended,
+    imported,
+    running_service,
+    serving,
+    wait_for,
+)
 
 from calrig.api import runs
 from calrig.runs.single_flight import SingleFlight
@@ -314,3 +325,12 @@ def test_who_asks_while_the_ports_are_looked_at_shares_that_look_and_takes_no_th
         go_on.set()
         assert {answer.result().status_code for answer in asked} == {200}
     assert len(looks) == 1
+
+
+def test_an_import_into_a_store_whose_file_was_deleted_is_refused(client, store_path):
+    imported(client, "AS-1")
+    store_path.unlink()
+    refused = client.post("/api/imports", files={"file": ("poses.csv", POSES)}, data={"unit": "AS-2"})
+    assert refused.status_code == 503
+    assert "was deleted or replaced by another file" in refused.json()["detail"]
+    assert not store_path.exists()

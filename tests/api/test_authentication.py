@@ -17,7 +17,14 @@ from support import NO_TLS, run_async, running_service, serving
 
 from calrig.api.access import Access, AccessError, access_here
 from calrig.api.app import DOCUMENT
-from calrig.api.authentication import MOST_SESSIONS, SESSION_S, WAITING_EACH, Authentication, Sessions
+from calrig.api.authentication import (
+    MOST_OF_A_TOKEN,
+    MOST_SESSIONS,
+    SESSION_S,
+    WAITING_EACH,
+    Authentication,
+    Sessions,
+)
 from calrig.settings import Settings
 from calrig.store.users import token_digest
 
@@ -193,7 +200,16 @@ def test_a_session_ends_after_a_days_work():
     assert sessions.token_of(value) is None
 
 
-def test_the_oldest_session_gives_way_to_one_too_many():
+def test_the_oldest_session_of_a_token_gives_way_to_one_too_many_and_nobody_elses_does():
+    sessions = Sessions()
+    of_admin = sessions.begin("the admin's")
+    first, *others = [sessions.begin("a viewer's") for _ in range(MOST_OF_A_TOKEN + 1)]
+    assert sessions.token_of(first) is None
+    assert all(sessions.token_of(other) for other in others)
+    assert sessions.token_of(of_admin) == "the admin's"
+
+
+def test_the_oldest_of_all_sessions_gives_way_to_one_too_many_of_all():
     sessions = Sessions()
     first, *others = [sessions.begin(str(k)) for k in range(MOST_SESSIONS + 1)]
     assert sessions.token_of(first) is None

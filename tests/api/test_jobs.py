@@ -194,6 +194,25 @@ def test_more_than_may_wait_is_429_and_told_when_to_come_back(shared_client, mon
     assert "try again later" in answer.json()["detail"]
 
 
+def test_what_one_user_has_waiting_refuses_nobody_elses(rig, tmp_path, monkeypatch):
+    monkeypatch.setattr(diagnoses, "traced", for_ever)
+    monkeypatch.setattr(pool, "MOST_WAITING", 0)
+    with running_service(tmp_path / "calrig.db", rig) as service:
+        _, adas = service.store.users.add("ada", "admin")
+        _, bens = service.store.users.add("ben", "operator")
+        as_ada, as_ben = ({"Authorization": f"Bearer {token}"} for token in (adas, bens))
+        with serving(service, own_processes=True) as client:
+            client.headers.update(as_ada)
+            path = f"/api/runs/{imported(client, 'AS-1')['id']}/diagnosis"
+            monkeypatch.setattr(jobs, "AT_ONCE_S", 0.0)
+            jobs_of_ada = [begun(client, path, json={}) for _ in range(pool.Processes().slots)]
+            assert client.post(path, json={}).status_code == 429
+            job_of_ben = begun(client, path, json={}, headers=as_ben)
+            assert client.get(job_of_ben).json()["state"] == "queued"
+            for one in [*jobs_of_ada, job_of_ben]:
+                client.delete(one).raise_for_status()
+
+
 def test_a_diagnosis_of_too_many_poses_is_refused_and_says_how_many_it_takes(shared_client, monkeypatch):
     run = imported(shared_client, "AS-1")
     monkeypatch.setattr(stored_runs, "MOST_POSES", 3)

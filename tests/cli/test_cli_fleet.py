@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import sqlite3
 import sys
 from contextlib import closing
 
@@ -42,7 +43,7 @@ def scheduler():
 
 def test_the_document_tells_what_changed_and_each_rigs_map(runs, scheduler):
     found = json.loads(calrig("fleet", "--json").stdout)
-    assert list(found) == ["runs", "changed", "rigs", "duration_s"]
+    assert list(found) == ["runs", "changed", "failed", "rigs", "duration_s"]
     assert found["runs"] == 2
     assert found["changed"] == [{"run_id": runs[0], "verdict_before": None, "verdict_now": "named"}]
     (rig,) = found["rigs"]
@@ -50,6 +51,17 @@ def test_the_document_tells_what_changed_and_each_rigs_map(runs, scheduler):
     again = calrig("fleet", "--scheduler", scheduler).stdout
     assert "2 runs" in again
     assert runs[0] in again
+
+
+def test_a_failed_run_is_a_line_and_the_report_is_made(runs, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with closing(sqlite3.connect("calrig.db")) as store:
+        store.execute("UPDATE pose SET reading_deg = 1 WHERE pose_index = 2 AND run_id = 2")
+        store.commit()
+    told = calrig("fleet").stdout
+    assert "failed, and is tried again" in told
+    assert "pose 2 of run" in told
+    assert runs[0] in told
 
 
 def test_without_dask_calrigs_own_processes_do_it_and_a_scheduler_cannot(runs, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack, closing
 
 import pytest
+from stage_ports import InProcessPort
 
 from calrig.instruments.index_clamp import ClampError, IndexClamp
 from calrig.simulator.config import SimulatorSettings
@@ -41,3 +42,19 @@ def test_one_that_is_mute_is_said_to_be(make_rig):
             head.identify()
         with pytest.raises(ClampError, match="60 s"):
             head.turn_to(0.0, "x")
+
+
+class Stranger:
+    """Some other device, on the port that is said to be the clamp's."""
+
+    def receive(self, _data: bytes) -> bytes:
+        return b"Grbl 1.1h ['$' for help]\r\n"
+
+    def emit(self) -> bytes:
+        return b""
+
+
+def test_another_device_in_its_place_is_quoted():
+    quoted = pytest.raises(ClampError, match=r"answers ID with \"Grbl 1\.1h.*instead of INDEX")
+    with closing(IndexClamp(InProcessPort(Stranger()))) as head, quoted:
+        head.identify()

@@ -214,6 +214,12 @@ def test_a_silent_controller_fails_in_words(controller, port, stage):
     assert stage.status().state == "not_referenced"
 
 
+def test_a_place_that_is_no_number_is_quoted(controller, stage):
+    controller.replies["1TP?"] = "nan"
+    with pytest.raises(StageError, match=r"answers TP\? with 'nan', which cannot be read"):
+        stage.position_deg()
+
+
 def test_no_motion_follows_a_stop(controller, port, referenced):
     referenced.halt()
     assert port.sent.endswith(b"1ST\r")

@@ -298,6 +298,13 @@ def test_a_silent_controller_is_reset_once_and_then_given_up_in_words(controller
     assert port.clock.now_s() < 6.0, "whoever presses Stop waits for it"
 
 
+def test_a_report_whose_place_is_no_number_is_quoted(controller, stage):
+    stage.status()
+    controller.report = "<Idle|MPos:nan,0.000,0.000|FS:0,0>"
+    with pytest.raises(StageError, match=r"answers \? with '<Idle\|MPos:nan.*which cannot be read"):
+        stage.status()
+
+
 def test_a_controller_behind_a_boot_loader_is_waited_for(controller, port, stage):
     controller.silent = True
     receive = controller.receive

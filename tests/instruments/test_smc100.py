@@ -356,11 +356,25 @@ def test_a_position_that_never_agrees_fails_in_words(controller, stage):
         stage.position_deg()
 
 
-@pytest.mark.parametrize("reply", [b"1TS0000ZZ\r\n", b"1TS000077\r\n", b"1TS33\r\n", b"garbage\r\n"])
-def test_a_state_that_does_not_exist_is_not_accepted(controller, stage, reply):
-    controller.say["TS"] = [reply] * 4
-    with pytest.raises(StageError, match=r"does not answer TS .*(unparsed|late_reply)"):
+@pytest.mark.parametrize("state", ["0000ZZ", "000077", "33"])
+def test_a_state_that_does_not_exist_is_not_accepted(controller, stage, state):
+    controller.say["TS"] = [f"1TS{state}\r\n".encode()] * 4
+    with pytest.raises(StageError, match=rf"answers TS with '{state}'.*(unparsed|late_reply)"):
         stage.status()
+
+
+def test_a_line_that_begins_as_no_query_is_no_answer(controller, stage):
+    controller.say["TS"] = [b"garbage\r\n"] * 4
+    with pytest.raises(StageError, match=r"does not answer TS .*unparsed"):
+        stage.status()
+
+
+def test_a_position_that_is_no_number_is_quoted(controller, stage):
+    controller.state, controller.position = "33", "nan"
+    with pytest.raises(
+        StageError, match=r"answers TP with 'nan', which cannot be read .*check the serial cable"
+    ):
+        stage.position_deg()
 
 
 junk_line = st.one_of(

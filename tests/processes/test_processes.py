@@ -18,7 +18,7 @@ import pytest
 from pieces import in_steps
 from support import program, wait_for
 
-from calrig.processes import child
+from calrig.processes import child, pool
 from calrig.processes.pool import (
     MOST_WAITING,
     Processes,
@@ -83,7 +83,7 @@ def test_a_process_that_died_while_it_waited_is_replaced() -> None:
         async with processes() as pool:
             idle = psutil.Process(await pool.run(os.getpid))
             idle.kill()
-            while children():
+            while psutil.pid_exists(idle.pid):  # one that is ending has no command line any more
                 await asyncio.sleep(0.01)
             for _ in range(3):
                 await asyncio.sleep(0)  # the loop hears that the pipe was closed
@@ -125,6 +125,46 @@ def test_more_than_may_wait_are_refused_at_once() -> None:
             await asyncio.sleep(0)
             with pytest.raises(WorkRefused, match=f"{1 + MOST_WAITING} diagnoses.*try again later"):
                 await pool.run(os.getpid)
+            for piece in in_hand:
+                piece.cancel()
+            await asyncio.wait(in_hand)
+
+    asyncio.run(pieces())
+
+
+def test_who_has_many_pieces_waiting_neither_refuses_nor_keeps_waiting_whom_has_one() -> None:
+    async def pieces() -> None:
+        order: list[str] = []
+        async with processes() as pool:
+            in_hand = asyncio.create_task(pool.run(FOR_EVER, user="ada"))
+            await asyncio.sleep(0)
+            of_ada = [
+                asyncio.create_task(pool.run(os.getpid, user="ada", begun=lambda: order.append("ada")))
+                for _ in range(MOST_WAITING)
+            ]
+            await asyncio.sleep(0)
+            with pytest.raises(WorkRefused, match=f"{1 + MOST_WAITING} diagnoses.* of one user"):
+                pool.require_room("ada")
+            of_ben = asyncio.create_task(pool.run(os.getpid, user="ben", begun=lambda: order.append("ben")))
+            await asyncio.sleep(0)
+            of_ada[0].cancel()
+            in_hand.cancel()
+            await asyncio.wait([*of_ada, of_ben])
+        assert order.index("ben") <= 1
+        assert len(order) == MOST_WAITING
+
+    asyncio.run(pieces())
+
+
+def test_the_pieces_of_all_users_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "MOST_WAITING_ALL", 1)
+
+    async def pieces() -> None:
+        async with processes() as one:
+            in_hand = [asyncio.create_task(one.run(FOR_EVER, user=user)) for user in ("ada", "ben")]
+            await asyncio.sleep(0)
+            with pytest.raises(WorkRefused, match=r"2 diagnoses.* of all users"):
+                one.require_room("cleo")
             for piece in in_hand:
                 piece.cancel()
             await asyncio.wait(in_hand)

@@ -13,9 +13,11 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from empty_store import lay_empty_store
 
 import calrig
-from calrig.store import Store, StoreError
+from calrig.store import Store, StoreError, StoreUnavailableError
+from calrig.store.sqlite import copying
 from calrig.store.sqlite.errors import store_error
 
 ROOT = Path(calrig.__file__).parent.parent
@@ -146,6 +148,29 @@ def test_a_file_that_is_no_database_is_refused_untouched(database, url, writer):
     assert database.read_bytes() == was
 
 
+def test_an_empty_file_is_no_new_store_and_stays_as_it_is(database, url):
+    database.touch()
+    with pytest.raises(StoreError, match=r"calrig\.db: is empty \(0 bytes\).*backup.*delete it"):
+        Store.open(url, writer="serve")
+    assert database.stat().st_size == 0
+
+
+def test_a_first_start_that_was_killed_leaves_nothing_in_the_stores_place(
+    url, database, tmp_path, monkeypatch
+):
+    def die(_unfinished: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(copying, "_run_alembic", die)
+    with pytest.raises(KeyboardInterrupt):
+        Store.open(url, writer="serve")
+    assert not database.exists()
+    monkeypatch.undo()
+    (tmp_path / "calrig.db.unfinished").write_bytes(b"half a store")  # no handler runs after SIGKILL
+    Store.open(url, writer="serve").close()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["calrig.db", "calrig.db.lock"]
+
+
 @pytest.mark.parametrize("writer", ["serve", None])
 def test_another_programs_database_is_refused_untouched(database, url, writer):
     with closing(sqlite3.connect(database)) as other:
@@ -190,6 +215,35 @@ def test_a_lock_that_another_program_keeps_is_said(url, database):
             store.runs.update(run.id, status="paused")
         other.execute("ROLLBACK")
         assert store.runs.update(run.id, status="paused").status == "paused"
+
+
+def delete(database: Path) -> None:
+    database.unlink()
+
+
+def replace(database: Path) -> None:
+    other = database.with_name("restored.db")
+    lay_empty_store(other)
+    other.replace(database)
+
+
+@pytest.mark.parametrize("take_away", [delete, replace])
+def test_a_file_that_is_taken_away_from_its_writer_is_noticed_at_the_next_write(
+    url, database, tmp_path, take_away
+):
+    with Store.open(url, writer="serve") as store:
+        kept = tmp_path / "the store.db"
+        kept.hardlink_to(database)
+        take_away(database)
+        with pytest.raises(
+            StoreUnavailableError, match=r"calrig\.db: was deleted or replaced.*put the file back"
+        ):
+            store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
+        assert database.exists() == (take_away is replace), "no new file appears"
+        kept.replace(database)
+        run = store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
+    with Store.open(url, writer=None) as reader:
+        assert [stored.id for stored in reader.runs.page()[0]] == [run.id]
 
 
 def test_a_full_disk_is_said_with_what_to_do(database):

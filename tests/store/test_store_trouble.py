@@ -189,6 +189,6 @@ def test_a_drive_that_cannot_lock_is_said(url, database, monkeypatch, refusal):
 
 def test_a_drive_without_a_write_ahead_log_is_said(url, monkeypatch):
     as_uri = Path.as_uri  # one of SQLite's own ways to a file, for drives that share no memory
-    monkeypatch.setattr(Path, "as_uri", lambda path: f"{as_uri(path)}?vfs=unix-none")
+    monkeypatch.setattr(Path, "as_uri", lambda path: f"{as_uri(path)}?vfs=unix-none&")
     with pytest.raises(StoreError, match=r"network drive.*journal.*local disk"):
         Store.open(url, writer="serve")

@@ -11,6 +11,7 @@ from calrig.instruments.errors import Halted
 from calrig.instruments.ports import Port
 
 LONGEST_LINE = 256
+MOST_QUOTED = 60
 DRAIN_S = 0.5
 COMING_S = 0.05
 """A line whose last byte came so lately is still coming: on a socket they are read one by one."""
@@ -135,14 +136,19 @@ def plain(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def unanswered(name: str, query: str, faults: Counter[str], check: str) -> str:
-    """What is said where nothing answers a query.
+def unanswered(name: str, query: str, faults: Counter[str], check: str, said: str | None = None) -> str:
+    """Say that a query has no reply, or none that can be read.
 
     Args:
         name: the stage's.
         query: what was asked.
         faults: counts by kind up to now.
-        check: what a person is to look at.
+        check: what a person is to look at if nothing answers.
+        said: the last reply to the query that has not the form of one; None if none came.
     """
     counted = ", ".join(f"{count} {kind}" for kind, count in faults.items())
-    return f"{name} does not answer {query} (faults so far: {counted or 'nothing'}): check {check}"
+    what = f"does not answer {query}"
+    if said is not None:
+        what = f"answers {query} with {said[:MOST_QUOTED]!r}, which cannot be read"
+        check = "the serial cable and the controller"
+    return f"{name} {what} (faults so far: {counted or 'nothing'}): check {check}"

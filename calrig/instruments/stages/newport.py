@@ -68,6 +68,7 @@ class NewportStage(ABC):
         self._lines = LineWire(port, self.faults, self.line_form)
         self._now_s = port.clock.now_s
         self._asking = threading.RLock()
+        self._misread: str | None = None  # the last reply to the query under way that could not be read
         self._tells_target: bool | None = None  # unknown before the first query
 
     @classmethod
@@ -212,8 +213,9 @@ class NewportStage(ABC):
         raise StageError(f"{self._name}: replies to {query} differ each time: check the serial cable")
 
     def _must(self, query: str, form: re.Pattern[str]) -> re.Match[str]:
+        self._misread = None
         reply = self._ask(query, form)
         if reply is None:
             check = f"power, cable, {self.addressed_by} and baud rate"
-            raise StageError(unanswered(self._name, query, self.faults, check))
+            raise StageError(unanswered(self._name, query, self.faults, check, self._misread))
         return reply

@@ -24,7 +24,7 @@ def copy_database(database: Path, target: Path) -> None:
         StoreError: `target` exists or cannot be written, or `database` cannot be read or is damaged; nothing
             is left behind.
     """
-    unfinished = target.with_name(f"{target.name}.unfinished")
+    unfinished = _unfinished(target)
     if os.path.lexists(target):
         raise StoreError(f"{target}: exists and is not overwritten: name another file")
     try:
@@ -41,6 +41,10 @@ def copy_database(database: Path, target: Path) -> None:
     finally:
         with contextlib.suppress(OSError):  # the first error is the one to tell
             unfinished.unlink(missing_ok=True)
+
+
+def _unfinished(target: Path) -> Path:
+    return target.with_name(f"{target.name}.unfinished")
 
 
 def _copy(database: Path, unfinished: Path, target: Path) -> None:
@@ -144,6 +148,26 @@ def check_not_newer(database: Path, stored: str | None) -> None:
         f"{database}: was written by a newer calrig (revision {stored}; this one knows up to {head}); "
         f"nothing was changed: install the newer calrig{use_copy}"
     )
+
+
+def make_new(database: Path) -> None:
+    """Makes an empty store where there is none; its file is there only once it is complete.
+
+    Raises:
+        StoreError: it cannot be made; nothing is left behind.
+    """
+    unfinished = _unfinished(database)
+    try:
+        unfinished.unlink(missing_ok=True)  # of a start that was killed
+        file_system.make_private(unfinished)
+        upgrade(unfinished, None)
+        unfinished.replace(database)
+        _sync(database.parent)
+    except OSError as error:
+        raise store_error(error, database) from error
+    finally:
+        with contextlib.suppress(OSError):  # the first error is the one to tell
+            unfinished.unlink(missing_ok=True)
 
 
 def upgrade(database: Path, stored: str | None) -> None:

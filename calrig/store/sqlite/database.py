@@ -7,7 +7,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, cast
 from urllib.parse import unquote
@@ -107,7 +107,8 @@ class SqliteDatabase(Database):
         )
         event.listen(self._engine, "begin", self._begin)
         self._write_engine = self._engine.execution_options(calrig_writes=True)
-        self._uri = path.as_uri()
+        self._uri = f"{path.as_uri()}?mode=rw"
+        self._opened: tuple[int, int] | None = None
         if writer:
             file_system.refuse_network(path)
         self._lock = WriterLock(path, writer) if writer else None
@@ -128,7 +129,7 @@ class SqliteDatabase(Database):
         marks = ", ".join("?" * len(UNFINISHED))
         wanted = f"SELECT DISTINCT rig FROM run WHERE rig IS NOT NULL AND status IN ({marks})"  # noqa: S608
         try:
-            with closing(connect(f"{self._uri}?mode=ro", self._timeout_s)) as file:
+            with closing(connect(f"{self.path.as_uri()}?mode=ro", self._timeout_s)) as file:
                 if not is_a_table(file, "run"):
                     return []
                 return [name for (name,) in file.execute(wanted, UNFINISHED)]
@@ -137,18 +138,21 @@ class SqliteDatabase(Database):
 
     def _prepare_for_writing(self) -> None:
         uri = None
-        try:
-            with suppress(FileExistsError):  # an older one keeps the mode it was given
-                file_system.make_private(self.path)
-        except OSError as error:
-            raise store_error(error, self.path) from error
         if file_system.has_writer(self.path):
             # It died, perhaps with the power: a good moment for damage, which is looked for first.
             uri = file_system.reading_uri(self.path, self._timeout_s)
             with closing(connect(uri, self._timeout_s)) as connection:
                 check_sound(connection, self.path)
+        if not self.path.exists():
+            copying.make_new(self.path)
+        elif file_system.size_bytes(self.path) == 0:
+            raise StoreError(
+                f"{self.path}: is empty (0 bytes), which a store never is; nothing was changed: if it held "
+                "a store, go back to a backup (`calrig backup`); delete it to begin a new store"
+            )
         stored = copying.stored_revision(self.path, uri)
         copying.check_not_newer(self.path, stored)
+        self._opened = file_system.identity(self.path)
         with self._in_words():
             if stored is not None:
                 self._engine.connect().close()  # where that cannot be done, nothing is migrated
@@ -160,6 +164,7 @@ class SqliteDatabase(Database):
         if self.path.is_file():
             self._uri = file_system.reading_uri(self.path, self._timeout_s)
             stored = copying.stored_revision(self.path, self._uri)
+            self._opened = file_system.identity(self.path)
         if stored is None:
             raise NoStore(
                 f"{self.path}: there is no calrig database: name one with --db, "
@@ -172,7 +177,19 @@ class SqliteDatabase(Database):
                 "which keeps a copy and brings it up to date"
             )
 
+    def _require_same_file(self) -> None:
+        """Raise unless the file that was opened still lies at its path.
+
+        An open file goes on without its name: what is written there is lost as soon as it is closed.
+        """
+        if file_system.identity(self.path) != self._opened:
+            raise StoreUnavailableError(
+                f"{self.path}: was deleted or replaced by another file while calrig had it open; nothing is "
+                "written: put the file back, or restart calrig on the one that is there now"
+            )
+
     def _connect(self) -> sqlite3.Connection:
+        self._require_same_file()
         connection = connect(self._uri, self._timeout_s, isolation_level=None, check_same_thread=False)
         connection.create_function("lower", 1, _lower, deterministic=True)
         connection.execute("PRAGMA foreign_keys = ON")
@@ -216,6 +233,7 @@ class SqliteDatabase(Database):
         while not self._writes.acquire(timeout=LOOK_S):
             raise_if_cancelled()
         try:
+            self._require_same_file()
             yield
         finally:
             self._writes.release()

@@ -172,6 +172,15 @@ def size_bytes(path: Path) -> int:
         return 0
 
 
+def identity(path: Path) -> tuple[int, int] | None:
+    """Which file lies at a path: its device and number; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
 def _look(path: Path, uri: str, timeout_s: float) -> None:
     with contextlib.closing(connect(uri, timeout_s)) as connection:
         try:

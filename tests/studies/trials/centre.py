@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -65,15 +66,18 @@ class Bench:
     def __init__(self, folder: Path, url: str, rigs: list[RigSettings]) -> None:
         folder.mkdir()
         self.folder = folder
-        self._command = [sys.executable, "-m", "calrig", "agent", "--db", url]
+        self._command = [sys.executable, "-m", "calrig", "agent"]
         self._command += ["--config", str(configured(folder, rigs)), "--spool", str(folder / "spool.db")]
         self._command += ["--record", str(folder / "wires")]
+        self._environment = {**os.environ, "CALRIG_DB": url}
         self.start()
 
     def start(self) -> None:
         """Starts it; returns once it says that it is there."""
         with (self.folder / "agent.log").open("ab") as log:
-            self.process = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=log, text=True)
+            self.process = subprocess.Popen(
+                self._command, stdout=subprocess.PIPE, stderr=log, text=True, env=self._environment
+            )
         too_late = threading.Timer(START_S, self.process.kill)
         too_late.start()
         assert self.process.stdout is not None

@@ -213,8 +213,10 @@ class Esp301(NewportStage):
             self.faults["no_reply"] += 1
         if came[-1:] != [self._fences[fence]]:
             self._in_doubt = True
-        elif len(came) == 2 and (reply := form.fullmatch(came[0])):
-            return reply
+        elif len(came) == 2:
+            if reply := form.fullmatch(came[0]):
+                return reply
+            self._misread = came[0]
         for line in came:
             if line != self._fences[fence]:
                 self.faults["late_reply" if NUMBER.fullmatch(line) else "unparsed"] += 1

@@ -383,7 +383,8 @@ class Grbl:
             raise StageError(f"{self._name} speaks as {self._link.firmware or 'a GRBL'} does, {NOT_1_1}")
         if report is None:
             self._settings = None  # they are read again when it answers again
-            raise StageError(unanswered(self._name, "?", self.faults, "power, cable and baud rate"))
+            check = "power, cable and baud rate"
+            raise StageError(unanswered(self._name, "?", self.faults, check, self._link.misread))
         self._count.hear_offset(report)
         if self._settings is None and report.state in ("Idle", "Alarm") and not self._homing:
             return self._learn(report)

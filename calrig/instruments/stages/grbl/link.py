@@ -60,6 +60,7 @@ class GrblLink:
         resets: how many banners have come.
         alarm: the last alarm that came; None after it was dealt with.
         locked: an alarm came after which it answers nothing, not even `?`, until it is reset.
+        misread: the last line in the brackets of a report that is none; None once one came.
         before_1_1: it reports as GRBL 0.9 and older do.
         answers: `ok` and `error:n` since the last command.
         settings: the last listing, as far as it has come.
@@ -73,6 +74,7 @@ class GrblLink:
         self.alarm: int | None = None
         self.locked = False
         self._pauses = False
+        self.misread: str | None = None
         self.before_1_1 = False
         self.answers: list[str] = []
         self.settings: dict[int, float] = {}
@@ -259,7 +261,7 @@ class GrblLink:
             line = line.lstrip("?")
         if report := parse_report(line):
             self._count_late(self._report is not None)  # each is asked for, and answered once
-            self._report = report
+            self._report, self.misread = report, None
         elif REPLY.fullmatch(line):
             if self.settings and not self._listed and line == "ok":
                 self._listed = True  # the end of a listing, and no command's answer
@@ -285,4 +287,9 @@ class GrblLink:
             self._pauses &= line != TAKES_RESET
             self._remarks.append(line)
         elif line:
-            self._faults["unparsed"] += 1
+            self._take_unknown(line)
+
+    def _take_unknown(self, line: str) -> None:
+        self._faults["unparsed"] += 1
+        if line[0] == "<" and line[-1] == ">":
+            self.misread = line

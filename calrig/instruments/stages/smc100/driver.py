@@ -194,9 +194,10 @@ class Smc100(NewportStage):
         deadline_s = self._now_s() + REPLY_TIMEOUT_S
         prefix = f"{self._axis}{query[:2]}"
         while self._now_s() < deadline_s and (line := self._lines.line(deadline_s)) is not None:
-            reply = form.fullmatch(line, len(prefix)) if line.startswith(prefix) else None
-            if reply:
-                return reply
+            if line.startswith(prefix):
+                if reply := form.fullmatch(line, len(prefix)):
+                    return reply
+                self._misread = line[len(prefix) :]
             self._drop(line)
         self._unanswered.add(query)
         self.faults["no_reply"] += 1
