@@ -7,29 +7,18 @@ server's clock. By then the centre has reported that the bench cannot be reached
 
 Deliveries: if a receipt is lost, the parcel is delivered again. The centre identifies events by run and
 number, poses by run and index, sample blocks by run and number.
-
-Queues: Procrastinate's worker takes the jobs that announce orders for the bench's rigs. It has its own thread
-and event loop, touches neither rigs nor spool, and restarts after each connection loss. Half-done jobs of an
-earlier worker would block their queue. It removes them first: no other worker takes from these queues.
 """
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-import psycopg
-import psycopg_pool
-from procrastinate import App, PsycopgConnector
-from procrastinate.exceptions import ProcrastinateException
-from procrastinate.jobs import Status
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
@@ -41,93 +30,12 @@ from calrig.runs.presence import BoardCheck
 from calrig.runs.rig_status import said_of
 from calrig.runs.service import RunService
 from calrig.store import Store, StoreError
-from calrig.store.bench_tables import queue_of
 from calrig.store.convert import iso_utc
 from calrig.store.errors import StoreDamagedError
 from calrig.store.parcels import Parcel
-from calrig.store.postgresql.database import ALIVE
-from calrig.store.postgresql.queue import app_of
+from calrig.store.postgresql.set_up import COMMANDS, ORDERS
 
 log = logging.getLogger(__name__)
-
-QUEUE_AGAIN_S = 2.0
-QUEUE_LOOK_S = 5.0
-"""How often the queues are looked into though no notification came."""
-
-
-class QueueWorker:
-    """In a thread of its own, until it is closed.
-
-    Args:
-        url: of the centre's database, as libpq takes it.
-        link: tells whether the centre can be reached, and this bench's name.
-        rigs: names of the bench's rigs.
-        look: is called where a job has said that there is an order.
-    """
-
-    def __init__(self, url: str, link: Link, rigs: Sequence[str], look: Callable[[], None]) -> None:
-        self._url, self._link, self._rigs, self._look = url, link, rigs, look
-        self._closing = threading.Event()
-        self._ending: Callable[[], object] = lambda: None
-
-    def run(self) -> None:
-        """Works until it is closed."""
-        for noisy in ("psycopg.pool", "procrastinate"):  # a traceback for whatever a lost connection ends
-            logging.getLogger(noisy).setLevel(logging.CRITICAL)
-        said = ""
-        while not self._closing.is_set():
-            try:
-                with self._link.centre() as centre:
-                    bench = centre.bench
-                asyncio.run(self._work([queue_of(bench, rig) for rig in self._rigs]))
-                said = ""
-            except LinkDown:
-                pass  # the heartbeat tells of it
-            except (ProcrastinateException, psycopg.Error, psycopg_pool.PoolTimeout, ValueError) as error:
-                if said != (why := " ".join(str(error.__cause__ or error).split())):
-                    log.warning("jobs are not taken, orders are looked for all the same: %s", why)
-                said = why
-            self._closing.wait(QUEUE_AGAIN_S)
-
-    def close(self) -> None:
-        """Ends it; may be called from any thread."""
-        self._closing.set()
-        with suppress(RuntimeError):  # its loop has just ended by itself
-            self._ending()
-
-    async def _hand_over(self, run_uid: str, epoch: int) -> None:
-        log.info("a job says that run %s has an order of epoch %d", run_uid, epoch)
-        self._look()
-
-    async def _work(self, queues: list[str]) -> None:
-        connector = PsycopgConnector(
-            conninfo=self._url, kwargs=ALIVE, min_size=1, max_size=2, timeout=5.0, reconnect_timeout=10.0
-        )
-        app = app_of(connector, self._hand_over)
-        loop, me = asyncio.get_running_loop(), asyncio.current_task()
-        assert me is not None  # noqa: S101 (a coroutine that runs is a task's)
-        self._ending = lambda: loop.call_soon_threadsafe(me.cancel)
-        if self._closing.is_set():
-            return
-        try:
-            async with app.open_async():
-                await _put_away(app, queues)
-                await app.run_worker_async(
-                    queues=queues, install_signal_handlers=False, fetch_job_polling_interval=QUEUE_LOOK_S
-                )
-        except asyncio.CancelledError:
-            if not self._closing.is_set():
-                raise
-        finally:
-            self._ending = lambda: None
-
-
-async def _put_away(app: App, queues: Sequence[str]) -> None:
-    """Jobs that somebody took and never ended: what they had to say is in the table of orders."""
-    for queue in queues:
-        for job in await app.job_manager.list_jobs_async(queue=queue, status=Status.DOING.value):
-            await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=False)
-
 
 STALE_S = 5
 COMMANDS_LOOK_S = 0.5
@@ -158,15 +66,23 @@ class Commands:
     """In a thread of its own, until `closing` is set; each command is carried out in another.
 
     Args:
-        heard: a link that does nothing but wait for commands.
-        answers: a link for what is short.
+        heard: a link that does nothing but wait for commands, and for news of orders.
+        answers: a link for nothing but answers.
         service: does what is asked.
         closing: ends it.
+        look: is called where there may be an order.
     """
 
-    def __init__(self, heard: Link, answers: Link, service: RunService, closing: threading.Event) -> None:
+    def __init__(
+        self,
+        heard: Link,
+        answers: Link,
+        service: RunService,
+        closing: threading.Event,
+        look: Callable[[], None],
+    ) -> None:
         self._heard, self._answers = heard, answers
-        self._service, self._closing = service, closing
+        self._service, self._closing, self._look = service, closing, look
 
     def run(self) -> None:
         """Listens until the agent is closed."""
@@ -178,12 +94,14 @@ class Commands:
                 self._closing.wait(COMMANDS_LOOK_S)
 
     def _listen(self, centre: Centre) -> None:
-        centre.connection.execute("LISTEN calrig_command")
+        centre.connection.execute(f"LISTEN {COMMANDS}; LISTEN {ORDERS}")
+        self._look()  # what was told before was not heard
         while not self._closing.is_set():
             for row in centre.connection.execute(_CLAIM, (centre.bench,)).fetchall():
                 self._carry_out(Command(*row))
-            for _told in centre.connection.notifies(timeout=COMMANDS_LOOK_S, stop_after=1):
-                pass  # of whichever bench: the table says whether there is anything
+            for told in centre.connection.notifies(timeout=COMMANDS_LOOK_S, stop_after=1):
+                if told.channel == ORDERS and told.payload == centre.bench:
+                    self._look()
 
     def _carry_out(self, command: Command) -> None:
         level = logging.DEBUG if command.kind == "look" else logging.INFO
@@ -456,19 +374,17 @@ class Agent:
         self.service = service
         self.lease = Lease(now_s)
         self._closing, self._all_is_said = threading.Event(), threading.Event()
-        short, heard, parcels = (Link(url) for _ in range(3))
-        self._links = short, heard, parcels
+        short, heard, answers, parcels = (Link(url) for _ in range(4))
+        self._links = short, heard, answers, parcels
         rigs = [service.known_rig(state.name) for state in service.rigs()]
         self._orders = [RigOrders(rig, short, self.lease, service, self._closing) for rig in rigs]
         self._heartbeat = Heartbeat(short, self.lease, service, self._closing, self.look)
         self._outbox = Outbox(parcels, service.store, self._all_is_said)
-        self._worker = QueueWorker(url, short, [rig.name for rig in rigs], self.look)
-        commands = Commands(heard, short, service, self._closing)
+        commands = Commands(heard, answers, service, self._closing, self.look)
         work = {
             "heartbeat": self._heartbeat.run,
             "outbox": self._outbox.run,
             "commands": commands.run,
-            "jobs": self._worker.run,
             **{one.name: one.run for one in self._orders},
         }
         self._threads = [
@@ -491,7 +407,6 @@ class Agent:
     def close(self) -> None:
         """Ends runs and threads; what is left to be said is said where the centre is there to hear it."""
         self._closing.set()
-        self._worker.close()
         self.service.close()
         self._all_is_said.set()
         self._outbox.wake()

@@ -1,6 +1,6 @@
 """Take orders from the centre's database: each at most once, when its rig is free.
 
-The row of an order is authoritative. A job of Procrastinate only announces that a row may have changed.
+The row of an order is authoritative. A notification only announces that a row may have changed.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ log = logging.getLogger(__name__)
 
 FREE_S = 0.1
 """How often it is looked whether the rig has become free, which asks nobody."""
-LOOK_S = 30.0
-"""How often the centre is asked for orders though no job has said that there is one."""
+LOOK_S = 5.0
+"""How often the centre is asked for orders though no notification came."""
 DOUBT = (
     "the bench took the order and cannot tell whether it began: nothing is done twice; "
     "see that the stage stands, then resume the run"

@@ -164,6 +164,7 @@ class Unpacker:
             self._again_s = time.monotonic() + AGAIN_S
             self._kept = Kept()
             self._store.orders.settle_withdrawn()
+            self._store.commands.prune()
         if not self._store.parcels.are_waiting(self._kept):
             return False
         self._kept = self._store.parcels.unpack(self._conclude, self._kept)

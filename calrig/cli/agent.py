@@ -134,8 +134,7 @@ def _checked_url(url: str) -> str:
     if not is_centre(url):
         raise InputError("an agent needs the URL of its centre's database: --db postgresql+psycopg://…")
     try:
-        import procrastinate  # noqa: F401 (whether they are there)
-        import psycopg  # noqa: F401
+        import psycopg  # noqa: F401 (whether it is there)
 
         from calrig.store.postgresql.agent_url import is_on_this_machine
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""Tables of a centre and its benches, and the names of their queues.
+"""Tables of a centre and its benches.
 
 A bench's own file has only `taken_order` and `delivery`. `calrig.store.postgresql.set_up` grants the rights
 of a bench's role.
@@ -6,7 +6,6 @@ of a bench's role.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from datetime import datetime
 from typing import Any
@@ -17,22 +16,7 @@ from calrig.store.checksums import CheckedJson
 from calrig.store.tables import Sha256, UtcText
 
 BENCH_NAME = re.compile(r"[A-Za-z0-9_.-]{1,20}")
-"""Of a bench; a slash would make it another bench's queue."""
-LONGEST_BYTES = 40
-"""Of a queue: Procrastinate notifies on `procrastinate_queue_v1#` and its name, and PostgreSQL's longest
-name of a channel has 63 bytes: a job in a longer one is refused.
-"""
-
-
-def queue_of(bench: str, rig: str) -> str:
-    """The queue of a bench's rig; a long name of a rig is shortened to its hash.
-
-    A bench's role sees the jobs of `rig:BENCH/…` (`calrig.store.postgresql.set_up`).
-    """
-    queue = f"rig:{bench}/{rig}"
-    if len(queue.encode()) <= LONGEST_BYTES:
-        return queue
-    return f"rig:{bench}/~{hashlib.sha256(rig.encode()).hexdigest()[:12]}"
+"""Of a bench, which is part of its role's name: PostgreSQL keeps 63 bytes of one."""
 
 
 class BenchTable(SQLModel, table=True):

@@ -153,13 +153,6 @@ def _unfinished() -> Any:
     )
 
 
-def _wake(session: Session, bench: str, rig: str, run_uid: str, epoch: int) -> None:
-    from calrig.store.postgresql.queue import defer
-
-    driver = session.connection().connection.driver_connection
-    defer(driver, bench, rig, run_uid, epoch)  # type: ignore[arg-type]  # psycopg's: benches join nothing else
-
-
 def _bench(row: BenchTable, now: datetime) -> Bench:
     seen = row.last_seen_at
     ago_s = None if seen is None else (now - seen).total_seconds()
@@ -168,6 +161,8 @@ def _bench(row: BenchTable, now: datetime) -> Bench:
 
 RECENT = timedelta(hours=1)
 """Commands are for now: one that found nobody days ago is no trouble of today."""
+KEPT = timedelta(days=1)
+"""A command that is older is of no use to anybody."""
 IN_TIME = timedelta(seconds=5)
 """Within which a bench answers."""
 
@@ -261,8 +256,6 @@ class Orders(Repository):
                 ordered_at=now,
             )
             session.add(order)
-            session.flush()
-            _wake(session, bench, rig, row.uid, order.epoch)
             return run_of(row)
 
     def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
@@ -283,7 +276,7 @@ class Orders(Repository):
             if order is None:
                 raise Refused(f"run {run_id} is of no bench of this centre and cannot be resumed")
             _require_free(session, order.bench, order.rig)
-            epoch = session.scalar(
+            session.execute(
                 update(RunOrderTable)
                 .where(col(RunOrderTable.run_uid) == run_id)
                 .values(
@@ -292,11 +285,8 @@ class Orders(Repository):
                     document={**order.document, "stage_at_deg": stage_at_deg},
                     ordered_at=datetime.now(UTC),
                 )
-                .returning(col(RunOrderTable.epoch))
             )
-            assert epoch is not None  # noqa: S101 (orders are never deleted)
             row.status, row.error = "queued", None  # the bench announces it: the numbers are its own
-            _wake(session, order.bench, order.rig, run_id, epoch)
             return run_of(row)
 
     def of(self, run_id: str) -> Order | None:
@@ -405,3 +395,9 @@ class Commands(Repository):
         with self._database.writing(in_turn=False) as session:
             now = now_there(session)
             return session.execute(withdrawn.values(withdrawn_at=now)).first() is not None
+
+    def prune(self) -> None:
+        """Deletes those that are over for a day: the trail and the runs tell what came of them."""
+        with self._database.writing(in_turn=False) as session:
+            old = col(BenchCommandTable.asked_at) < now_there(session) - KEPT
+            session.execute(delete(BenchCommandTable).where(old))

@@ -27,7 +27,7 @@ from calrig.runs.service import RunService
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
-from calrig.store.postgresql.queue import defer
+from calrig.store.postgresql.set_up import ORDERS
 
 BENCH = "hall-2"
 STANDS_DPS = 1e-6
@@ -92,7 +92,6 @@ class HandWritten:
         *,
         plan: dict[str, Any] | None = None,
         unit: str = "AS-1",
-        job: bool = True,
         **columns: Any,
     ) -> str:
         """Orders a run; returns its id."""
@@ -107,23 +106,16 @@ class HandWritten:
             "provenance": {"seed": 0},
         }
         row = {"epoch": 1, "wish": "begin", "taken_epoch": 0, **columns}
-        with self.connection.transaction():
-            self.connection.execute(
-                "INSERT INTO run_order (run_uid, bench, rig, epoch, wish, document, taken_epoch, ordered_at) "
-                f"VALUES (%s, %s, %s, %s, %s, %s, %s, {NOW})",
-                (run_id, BENCH, rig, row["epoch"], row["wish"], Json(document), row["taken_epoch"]),
-            )
-            if job:
-                self.job(run_id, row["epoch"], rig)
+        self.connection.execute(
+            "INSERT INTO run_order (run_uid, bench, rig, epoch, wish, document, taken_epoch, ordered_at) "
+            f"VALUES (%s, %s, %s, %s, %s, %s, %s, {NOW})",
+            (run_id, BENCH, rig, row["epoch"], row["wish"], Json(document), row["taken_epoch"]),
+        )
         return run_id
 
-    def job(self, run_id: str, epoch: int = 1, rig: str = "bench-1") -> None:
-        """Puts a job into a rig's queue."""
-        defer(self.connection, BENCH, rig, run_id, epoch)
-
-    def jobs_left(self) -> int:
-        """How many jobs nobody has ended."""
-        return self._one("SELECT count(*) FROM procrastinate_jobs WHERE status IN ('todo', 'doing')")
+    def tell(self) -> None:
+        """Says to the bench that there may be an order."""
+        self.connection.execute("SELECT pg_notify(%s, %s)", (ORDERS, BENCH))
 
     def taken_epoch(self, run_id: str) -> int:
         """The newest epoch that was taken."""

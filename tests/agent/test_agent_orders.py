@@ -41,7 +41,7 @@ def test_an_ordered_run_is_carried_out_once_and_delivered_in_order(
         assert told.documents[-1]["run"]["result"]["bias_deg"] == pytest.approx(run.result.bias_deg)
         assert store.revisions.of("AS-1") == []  # which only the centre makes
         wait_for(lambda: store.spool.undelivered() == [], "note that all is delivered")
-        assert (store.spool.outbox().n_parcels, centre.jobs_left()) == (0, 0)
+        assert store.spool.outbox().n_parcels == 0
 
 
 def test_a_run_that_has_ended_at_the_centre_is_there_with_all_its_samples(
@@ -55,13 +55,32 @@ def test_a_run_that_has_ended_at_the_centre_is_there_with_all_its_samples(
     assert all(document["run"]["progress"]["poses_done"] <= 6 for document in before)
 
 
-def test_a_job_that_comes_twice_carries_nothing_out_twice(centre: HandWritten, rig: Rig, spool: Path) -> None:
+def test_an_order_is_told_of_and_nobody_waits_for_the_next_look(
+    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(orders, "LOOK_S", 1e6)
+    with agent_at(centre.bench_url, spool, rig):
+        for unit in ("AS-1", "AS-2"):
+            assert centre.ended(centre.order(unit=unit)).status == "completed"
+
+
+def test_an_order_that_nobody_heard_of_is_found_once_the_bench_listens_again(
+    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(orders, "LOOK_S", 1e6)
+    with agent_at(centre.bench_url, spool, rig):
+        assert centre.ended(centre.order()).status == "completed"
+        centre.connection.execute(
+            "SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity WHERE query LIKE 'UPDATE bench_command%'"
+        )
+        assert centre.ended(centre.order(unit="AS-2")).status == "completed"
+
+
+def test_news_that_comes_twice_carries_nothing_out_twice(centre: HandWritten, rig: Rig, spool: Path) -> None:
     run_id = centre.order()
-    centre.job(run_id)
     with agent_at(centre.bench_url, spool, rig) as agent:
         first = centre.ended(run_id)
-        centre.job(run_id)
-        wait_for(lambda: centre.jobs_left() == 0, "end of the jobs")
+        centre.tell()
         centre.order(unit="AS-2", rig="bench-1")
         wait_for(lambda: len(agent.service.store.runs.page()[0]) == 2, "next run")
         assert centre.delivered(run_id).events == first.events
@@ -73,10 +92,8 @@ def test_a_job_that_comes_twice_carries_nothing_out_twice(centre: HandWritten, r
 def test_an_order_that_counts_no_more_moves_nothing(
     centre: HandWritten, rig: Rig, spool: Path, columns: dict[str, object]
 ) -> None:
-    run_id = centre.order(job=False, **columns)
-    centre.job(run_id, epoch=1)
+    run_id = centre.order(**columns)
     with agent_at(centre.bench_url, spool, rig) as agent:
-        wait_for(lambda: centre.jobs_left() == 0, "end of the job")
         centre.order(unit="AS-2")  # what comes after it does
         wait_for(lambda: agent.service.store.runs.page()[0], "run")
         assert [run.unit for run in agent.service.store.runs.page()[0]] == ["AS-2"]
@@ -137,7 +154,6 @@ def test_killed_between_taking_and_spool_the_run_is_interrupted_and_moves_nothin
         assert "nothing is done twice" in told.events[-1]["data"]["error"]
         assert not rig.has_moved()
         centre.connection.execute("UPDATE run_order SET epoch = 2, wish = 'resume'")
-        centre.job(run_id, epoch=2)
         wait_for(lambda: agent.service.run(run_id).status == "completed", "end of the resumed run")
         done = wait_for(lambda: (d := centre.delivered(run_id)).status == "completed" and d, "delivery")
     assert done.states == ["queued", "interrupted", "queued", "running", "completed"]
@@ -156,7 +172,6 @@ def test_killed_before_a_resumption_has_begun_the_run_stays_interrupted_and_says
         at_this_point.setattr("calrig.runs.service.RunService.resume", _raise_killed)
         with agent_at(centre.bench_url, spool, rig):
             centre.connection.execute("UPDATE run_order SET epoch = 2, wish = 'resume'")
-            centre.job(run_id, epoch=2)
             wait_for(lambda: centre.taken_epoch(run_id) == 2, "taking")
     with agent_at(centre.bench_url, spool, rig) as agent:
         wait_for(lambda: centre.delivered(run_id).states[-2:] == ["interrupted"] * 2, "word of it")
@@ -216,14 +231,6 @@ def test_a_stop_calls_off_what_is_about_to_begin(rig: Rig, spool: Path, centre: 
             run = service.begin(rig.settings, ordered_run(run_id, document, rig.settings))
         assert service.wait(run.id).status == "aborted"
     assert not rig.has_moved()
-
-
-def test_jobs_of_a_worker_that_died_keep_no_queue_shut(centre: HandWritten, rig: Rig, spool: Path) -> None:
-    run_id = centre.order()
-    centre.connection.execute("UPDATE procrastinate_jobs SET status = 'doing'")
-    with agent_at(centre.bench_url, spool, rig):
-        assert centre.ended(run_id).status == "completed"
-        wait_for(lambda: centre.jobs_left() == 0, "end of the job that was left")
 
 
 def test_a_spool_that_was_lost_leaves_what_the_centre_has(centre: HandWritten, rig: Rig, spool: Path) -> None:

@@ -86,11 +86,11 @@ class TableBench:
             session.get_one(BenchTable, self.name).revoked_at = datetime.now(UTC)
             session.commit()
 
-    def jobs(self) -> list[tuple[str, str, dict[str, Any], str]]:
-        """Queue, lock, arguments and status of the jobs there are, oldest first."""
-        jobs = "SELECT queue_name, lock, args, status::text FROM procrastinate_jobs ORDER BY id"
-        with self._engine.connect() as connection:
-            return [tuple(row) for row in connection.execute(text(jobs))]
+    def orders(self) -> list[str]:
+        """The runs that there are orders of, oldest first."""
+        with Session(self._engine) as session:
+            wanted = select(RunOrderTable.run_uid).order_by(col(RunOrderTable.ordered_at))
+            return list(session.exec(wanted))
 
     def order(self, run_id: str) -> RunOrderTable:
         """What it is to do with a run."""
@@ -139,6 +139,13 @@ class TableBench:
         """All there ever were."""
         with Session(self._engine, expire_on_commit=False) as session:
             return list(session.exec(select(BenchCommandTable).order_by(col(BenchCommandTable.id))))
+
+    def ages(self, days: float) -> None:
+        """Its commands were asked so many days earlier."""
+        with Session(self._engine) as session:
+            for row in session.exec(select(BenchCommandTable)):
+                row.asked_at -= timedelta(days=days)
+            session.commit()
 
     def deliver(self, run_id: str, parcels: Sequence[Packed]) -> None:
         """Delivers parcels in this order, all at once."""

@@ -110,17 +110,42 @@ def test_a_watcher_goes_on_after_the_connection_that_tells_of_news_was_cut(
     assert centre.wait(measured.run.id, PATIENCE_S).status == "completed"
 
 
-def test_the_queue_and_the_triggers_are_made_once_and_what_was_there_stays(url: str, bench: TableBench):
-    with psycopg.connect(_server_url(url), autocommit=True) as server:
-        server.execute("DROP FUNCTION calrig_tell_bench_v1 CASCADE")  # a database from before them
-        Store.open(url, writer="tests").close()
-        Store.open(url, writer="tests").close()
+OF_EARLIER_VERSIONS = """
+    CREATE TYPE procrastinate_job_status AS ENUM ('todo', 'doing');
+    CREATE TABLE procrastinate_workers (id bigint PRIMARY KEY);
+    CREATE TABLE procrastinate_jobs (
+        id bigint PRIMARY KEY, status procrastinate_job_status, worker_id bigint REFERENCES procrastinate_workers
+    );
+    CREATE TABLE procrastinate_events (job_id bigint REFERENCES procrastinate_jobs);
+    CREATE TABLE procrastinate_periodic_defers (job_id bigint REFERENCES procrastinate_jobs);
+    CREATE FUNCTION procrastinate_fetch_job_v2() RETURNS procrastinate_jobs LANGUAGE sql
+        AS 'SELECT * FROM procrastinate_jobs';
+    CREATE FUNCTION procrastinate_notify_v1() RETURNS trigger LANGUAGE plpgsql AS 'BEGIN RETURN NULL; END';
+    CREATE TRIGGER procrastinate_notify AFTER INSERT ON procrastinate_jobs
+        FOR EACH ROW EXECUTE FUNCTION procrastinate_notify_v1();
+    INSERT INTO procrastinate_jobs VALUES (1, 'todo', NULL);
+    DROP FUNCTION calrig_tell_order_v1 CASCADE;
+"""
+LEFT_OVER = """
+    SELECT relname FROM pg_class WHERE starts_with(relname, 'procrastinate_')
+    UNION ALL SELECT proname FROM pg_proc WHERE starts_with(proname, 'procrastinate_')
+    UNION ALL SELECT typname FROM pg_type WHERE starts_with(typname, 'procrastinate_')
+"""
 
-        server.execute("LISTEN calrig_bench")
-        bench.beat(state="busy")
+
+def test_the_triggers_are_made_once_and_the_queues_of_earlier_versions_are_dropped(
+    url: str, bench: TableBench, make_centre: MakeCentre, plan: Plan
+):
+    with psycopg.connect(_server_url(url), autocommit=True) as server:
+        server.execute(OF_EARLIER_VERSIONS)
+        Store.open(url, writer="tests").close()
+        Store.open(url, writer="tests").close()
+        assert server.execute(LEFT_OVER).fetchall() == []
+
+        server.execute("LISTEN calrig_order")
+        make_centre().start(unit="A", plan=plan)
         told = [notice.payload for notice in server.notifies(timeout=PATIENCE_S, stop_after=1)]
     assert told == ["hall-2"]
-    assert bench.jobs() == []
 
 
 def test_the_stop_of_a_process_does_not_end_what_benches_do(
@@ -151,7 +176,7 @@ def test_calrig_serve_on_a_database_is_a_centre(url: str, bench: TableBench, tmp
             assert client.post("/api/runs", json={"unit": "A", "plan": QUICK}).json()["status"] == "queued"
         process.terminate()
         assert process.wait(PATIENCE_S) == 0
-    assert [job[3] for job in bench.jobs()] == ["todo"]
+    assert len(bench.orders()) == 1
 
 
 @pytest.mark.parametrize(

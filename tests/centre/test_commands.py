@@ -102,6 +102,16 @@ def test_a_bench_that_has_a_stop_and_says_nothing_is_not_said_to_stand(
     assert bench.commands()[0].withdrawn_at is None
 
 
+def test_commands_of_yesterday_are_deleted(centre: CentreService, bench: TableBench):
+    with answering(bench):
+        centre.stop("bench-1")
+    centre.store.commands.prune()
+    assert len(bench.commands()) == 1
+    bench.ages(days=1.1)
+    centre.store.commands.prune()
+    assert bench.commands() == []
+
+
 def test_pause_and_resume_go_to_the_bench_of_a_run_that_goes_on(
     centre: CentreService, bench: TableBench, plan: Plan
 ):

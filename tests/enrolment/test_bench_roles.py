@@ -5,13 +5,11 @@ Every connection here is a bench's own, on a real server; the centre's role is n
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Iterator
 
 import psycopg
 import pytest
 from a_centre import Centre, connect, prepare
-from procrastinate import App, PsycopgConnector
 from psycopg.errors import InsufficientPrivilege
 from sqlalchemy import make_url
 
@@ -22,11 +20,9 @@ FILLING = f"""
     INSERT INTO bench_command (bench, kind, rig, asked_at) SELECT name, 'stop', 'r1', '{NOW}' FROM bench;
     INSERT INTO parcel (bench, seq, run_uid, document, delivered_at)
         SELECT name, 1, 'run-of-' || name, '{{}}', '{NOW}' FROM bench;
-    INSERT INTO procrastinate_jobs (queue_name, task_name, lock, args)
-        SELECT 'rig:' || name || '/r1', 'carry_out', 'rig:' || name || '/r1', '{{}}' FROM bench;
 """
-"""An order, a command, a parcel and a job of each bench."""
-EMPTYING = "TRUNCATE run_order, bench_command, parcel, procrastinate_jobs, procrastinate_workers CASCADE"
+"""An order, a command and a parcel of each bench."""
+EMPTYING = "TRUNCATE run_order, bench_command, parcel CASCADE"
 
 
 @pytest.fixture
@@ -58,8 +54,6 @@ def test_a_bench_sees_its_own_rows_alone(bench: psycopg.Connection) -> None:
     assert seen("SELECT run_uid FROM run_order") == [("run-of-a",)]
     assert seen("SELECT bench FROM bench_command") == [("a",)]
     assert seen("SELECT bench, seq FROM parcel") == [("a", 1)]
-    assert seen("SELECT queue_name FROM procrastinate_jobs") == [("rig:a/r1",)]
-    assert seen("SELECT type FROM procrastinate_events") == [("deferred",)]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +62,6 @@ def test_a_bench_sees_its_own_rows_alone(bench: psycopg.Connection) -> None:
         f"UPDATE bench SET last_seen_at = '{NOW}', said = '{{}}'",
         "UPDATE run_order SET taken_epoch = 3",
         f"UPDATE bench_command SET taken_at = '{NOW}', answered_at = '{NOW}', answer = '{{}}'",
-        "UPDATE procrastinate_jobs SET status = 'doing', attempts = 1, abort_requested = false",
     ],
 )
 def test_what_a_bench_changes_is_its_own(bench: psycopg.Connection, query: str) -> None:
@@ -98,7 +91,6 @@ def test_a_bench_delivers_parcels_of_its_own_each_once(bench: psycopg.Connection
         "SELECT * FROM calibration",
         "SELECT * FROM alembic_version",
         "SELECT document FROM parcel",
-        "SELECT * FROM procrastinate_periodic_defers",
         "UPDATE bench SET name = 'b'",
         "UPDATE bench SET role = session_user",
         "UPDATE bench SET revoked_at = NULL",
@@ -109,19 +101,11 @@ def test_a_bench_delivers_parcels_of_its_own_each_once(bench: psycopg.Connection
         "UPDATE run_order SET document = '{}'",
         "UPDATE bench_command SET withdrawn_at = NULL",
         "UPDATE parcel SET document = '{}'",
-        "UPDATE procrastinate_jobs SET queue_name = 'rig:a/r2'",
-        "UPDATE procrastinate_jobs SET args = '{}'",
-        "UPDATE procrastinate_workers SET owner = 'x'",
         "INSERT INTO bench (name, said) VALUES ('c', '{}')",
         f"INSERT INTO run_order VALUES ('u', 'a', 'r1', 1, 'begin', '{{}}', 0, '{NOW}')",
         f"INSERT INTO bench_command (bench, kind, asked_at) VALUES ('a', 'stop', '{NOW}')",
-        "INSERT INTO procrastinate_jobs (queue_name, task_name) VALUES ('rig:a/r1', 'carry_out')",
-        "INSERT INTO procrastinate_workers (owner) VALUES ('x')",
-        "SELECT procrastinate_defer_jobs_v1(ARRAY[ROW('rig:a/r1','t',0,NULL,NULL,'{}',NULL)"
-        "::procrastinate_job_to_defer_v1])",
         "DELETE FROM run_order",
         "DELETE FROM parcel",
-        "DELETE FROM procrastinate_jobs",
         "TRUNCATE parcel",
         "ALTER TABLE bench DISABLE ROW LEVEL SECURITY",
         "DROP POLICY calrig_own ON bench",
@@ -136,51 +120,11 @@ def test_all_else_is_refused(bench: psycopg.Connection, query: str) -> None:
         bench.execute(query)
 
 
-def test_events_of_others_jobs_are_not_a_benchs_to_write(bench: psycopg.Connection, centre: Centre) -> None:
-    with connect(centre.url) as owner:
-        of_ab = owner.execute("SELECT id FROM procrastinate_jobs WHERE queue_name = 'rig:ab/r1'").fetchone()
-    with pytest.raises(InsufficientPrivilege, match="row-level security"):
-        bench.execute("INSERT INTO procrastinate_events (job_id, type) VALUES (%s, 'failed')", of_ab)
-
-
 def test_as_the_group_a_bench_is_still_itself(bench: psycopg.Connection) -> None:
     bench.execute("SET ROLE calrig_bench")
     assert bench.execute("SELECT name FROM bench").fetchall() == [("a",)]
     with pytest.raises(InsufficientPrivilege):
         bench.execute("SET SESSION AUTHORIZATION postgres")
-
-
-def test_a_worker_takes_the_jobs_of_its_own_rigs_and_leaves_others_workers_be(
-    centre: Centre, urls: dict[str, str]
-) -> None:
-    with connect(urls["ab"]) as other, connect(centre.url) as owner:
-        other.execute("SELECT procrastinate_register_worker_v1()")
-        owner.execute("UPDATE procrastinate_workers SET last_heartbeat = now() - interval '1 day'")
-        ran = asyncio.run(_work(urls["a"], 2))
-        assert ran == ["rig:a/r1"]
-        jobs = owner.execute("SELECT queue_name, status, attempts FROM procrastinate_jobs")
-        assert sorted(jobs.fetchall()) == [("rig:a/r1", "succeeded", 1), ("rig:ab/r1", "todo", 0)]
-        events = "SELECT type FROM procrastinate_events ORDER BY id"
-        assert [row[0] for row in owner.execute(events)] == ["deferred", "deferred", "started", "succeeded"]
-        # stalled for a day, and pruned by nobody but its own bench
-        assert owner.execute("SELECT count(*) FROM procrastinate_workers").fetchone() == (1,)
-        assert asyncio.run(_work(urls["ab"], 1)) == ["rig:ab/r1"]
-        assert owner.execute("SELECT count(*) FROM procrastinate_workers").fetchone() == (0,)
-
-
-async def _work(url: str, rounds: int) -> list[str]:
-    """The queues of the jobs that a bench's worker finds, whatever queue they are in."""
-    conninfo = make_url(url).set(drivername="postgresql").render_as_string(hide_password=False)
-    app, ran = App(connector=PsycopgConnector(conninfo=conninfo)), list[str]()
-
-    @app.task(name="carry_out", pass_context=True)
-    async def carry_out(context: object) -> None:
-        ran.append(context.job.queue)
-
-    async with app.open_async():
-        for _ in range(rounds):
-            await app.run_worker_async(wait=False, install_signal_handlers=False)
-    return ran
 
 
 def test_a_bench_of_one_centre_is_nobody_in_anothers_database(
@@ -216,10 +160,8 @@ def test_what_a_revoked_bench_still_has_open_shows_it_nothing(
 ) -> None:
     with connect(centre.url) as owner:
         owner.execute(f"UPDATE bench SET revoked_at = '{NOW}' WHERE name = 'a'")
-    for table in ("bench", "run_order", "procrastinate_jobs"):
+    for table in ("bench", "run_order"):
         assert bench.execute(f"SELECT count(*) FROM {table}").fetchone() == (0,)
-    with pytest.raises(InsufficientPrivilege):
-        bench.execute("SELECT procrastinate_register_worker_v1()")
 
 
 def test_rights_that_are_laid_are_not_laid_again(centre: Centre, urls: dict[str, str]) -> None:

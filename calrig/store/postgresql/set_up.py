@@ -1,4 +1,4 @@
-"""Set up a centre's database beside its tables: queues, notification triggers, rights of benches.
+"""Set up a centre's database beside its tables: notification triggers, rights of benches.
 
 A notification is a hint; the tables are authoritative. Each bench has a role in one group that holds the
 rights, granted by column. A row-level policy of each table shows a bench only its own rows. The centre's role
@@ -19,11 +19,12 @@ from calrig.store.errors import Refused
 
 EVENTS, PARCELS = "calrig_event", "calrig_parcel"
 COMMANDS, ANSWERS, BENCHES = "calrig_command", "calrig_answer", "calrig_bench"
+ORDERS = "calrig_order"
 """Channels, each with what is told: a run's id, a bench's name, a bench's name, a command's number, a bench's
-name.
+name, a bench's name.
 """
 
-_NEWEST = "calrig_tell_bench_v1"
+_NEWEST = "calrig_tell_order_v1"
 """A function that is there once all of this is."""
 _TRIGGERS = """
 CREATE OR REPLACE FUNCTION calrig_tell_events_v1() RETURNS trigger LANGUAGE plpgsql AS $$
@@ -40,6 +41,8 @@ CREATE OR REPLACE FUNCTION calrig_tell_answer_v1() RETURNS trigger LANGUAGE plpg
 BEGIN PERFORM pg_notify('calrig_answer', NEW.id::text); RETURN NULL; END $$;
 CREATE OR REPLACE FUNCTION calrig_tell_bench_v1() RETURNS trigger LANGUAGE plpgsql AS $$
 BEGIN PERFORM pg_notify('calrig_bench', NEW.name); RETURN NULL; END $$;
+CREATE OR REPLACE FUNCTION calrig_tell_order_v1() RETURNS trigger LANGUAGE plpgsql AS $$
+BEGIN PERFORM pg_notify('calrig_order', NEW.bench); RETURN NULL; END $$;
 
 CREATE OR REPLACE TRIGGER calrig_tell AFTER INSERT ON event
     REFERENCING NEW TABLE AS new_rows FOR EACH STATEMENT EXECUTE FUNCTION calrig_tell_events_v1();
@@ -52,12 +55,29 @@ CREATE OR REPLACE TRIGGER calrig_tell_answer AFTER UPDATE OF answered_at ON benc
 CREATE OR REPLACE TRIGGER calrig_tell AFTER UPDATE OF said ON bench
     FOR EACH ROW WHEN (OLD.said::text IS DISTINCT FROM NEW.said::text)
     EXECUTE FUNCTION calrig_tell_bench_v1();
+CREATE OR REPLACE TRIGGER calrig_tell AFTER INSERT OR UPDATE OF epoch ON run_order
+    FOR EACH ROW EXECUTE FUNCTION calrig_tell_order_v1();
 """
+_NO_QUEUES = """
+DO $$
+DECLARE left_over text;
+BEGIN
+    DROP TABLE IF EXISTS procrastinate_periodic_defers, procrastinate_events, procrastinate_jobs,
+        procrastinate_workers CASCADE;
+    FOR left_over IN SELECT oid::regprocedure FROM pg_proc
+        WHERE starts_with(proname, 'procrastinate_') AND pronamespace = current_schema()::regnamespace
+    LOOP EXECUTE 'DROP ROUTINE IF EXISTS ' || left_over || ' CASCADE'; END LOOP;
+    FOR left_over IN SELECT oid::regtype FROM pg_type
+        WHERE starts_with(typname, 'procrastinate_') AND typnamespace = current_schema()::regnamespace
+    LOOP EXECUTE 'DROP TYPE IF EXISTS ' || left_over || ' CASCADE'; END LOOP;
+END $$;
+"""
+"""Earlier versions announced orders by jobs of Procrastinate, beside the notification that does it now."""
 
 
 def is_set_up(connection: Connection) -> bool:
     """Whether a database has all of this."""
-    wanted = text("SELECT to_regclass('procrastinate_jobs') IS NOT NULL AND to_regproc(:newest) IS NOT NULL")
+    wanted = text("SELECT to_regproc(:newest) IS NOT NULL")
     return bool(connection.execute(wanted, {"newest": _NEWEST}).scalar_one())
 
 
@@ -65,17 +85,13 @@ def set_up(connection: Connection) -> None:
     """Gives it to a database, inside the transaction that the connection is in; what is there stays."""
     raw = connection.connection.driver_connection
     assert raw is not None  # noqa: S101 (it is in a transaction)
-    has_queues = text("SELECT to_regclass('procrastinate_jobs') IS NOT NULL")
-    if not connection.execute(has_queues).scalar_one():
-        from procrastinate.schema import SchemaManager
-
-        raw.execute(SchemaManager.get_schema())
+    raw.execute(_NO_QUEUES)
     raw.execute(_TRIGGERS)
 
 
 GROUP = "calrig_bench"
 MOST_CONNECTIONS = 20
-"""Of one bench at once: its worker's, rigs' and outbox's. One gone wild leaves room for the others."""
+"""Of one bench at once: its links, and those that a lost one left. One gone wild leaves room for others."""
 END_MS = 5000
 """How long the end of a connection is waited for."""
 
@@ -108,23 +124,7 @@ RIGHTS = (
         ("SELECT (id, bench, seq)", "INSERT (bench, seq, run_uid, document, data, delivered_at)"),
         f"bench = {_MINE}",
     ),
-    _Rights(
-        "procrastinate_jobs",
-        ("SELECT", "UPDATE (status, worker_id, attempts, abort_requested)"),
-        f"starts_with(queue_name, 'rig:' || {_MINE} || '/')",
-    ),
-    _Rights(
-        "procrastinate_workers",
-        ("SELECT", "INSERT (last_heartbeat)", "UPDATE (last_heartbeat)", "DELETE"),
-        f"owner = session_user AND {_MINE} IS NOT NULL",
-    ),
-    _Rights(
-        "procrastinate_events",
-        ("SELECT", "INSERT (job_id, type)"),  # as the triggers of `procrastinate_jobs` do
-        "EXISTS (SELECT FROM procrastinate_jobs AS job WHERE job.id = job_id)",
-    ),
 )
-SEQUENCES = ("parcel_id_seq", "procrastinate_events_id_seq")
 _LAID = """
     SELECT obj_description(to_regprocedure('calrig_my_bench()'), 'pg_proc') = :mark
        AND has_table_privilege((SELECT oid FROM pg_roles WHERE rolname = :group), 'run_order', 'SELECT')
@@ -147,7 +147,7 @@ def is_secure(connection: Connection) -> bool:
 def secure(connection: Connection) -> None:
     """Leaves benches their own rows, and everybody else but the owner nothing.
 
-    Run it once calrig's tables and Procrastinate's are there, in a transaction, one process at a time. Where
+    Run it once calrig's tables are there, in a transaction, one process at a time. Where
     all is laid it does nothing: laid again, it would wait for everybody at work on these tables. Nor does it
     where the owner may make no roles: then there are no benches (`require_roles`), and nobody has any rights.
     """
@@ -254,8 +254,6 @@ def _statements(connection: Connection) -> list[str]:
         MY_BENCH.format(schema=schema),
         f"REVOKE ALL ON FUNCTION calrig_my_bench() {everybody}",
         f"GRANT EXECUTE ON FUNCTION calrig_my_bench() TO {GROUP}",
-        # benches register by a function that names no owner
-        "ALTER TABLE procrastinate_workers ADD COLUMN IF NOT EXISTS owner name NOT NULL DEFAULT session_user",
     ]
     for one in RIGHTS:
         laid += [
@@ -264,7 +262,7 @@ def _statements(connection: Connection) -> list[str]:
             f"CREATE POLICY calrig_own ON {one.table} TO {GROUP} USING ({one.own}) WITH CHECK ({one.own})",
             f"GRANT {', '.join(one.grants)} ON {one.table} TO {GROUP}",
         ]
-    return [*laid, f"GRANT USAGE ON SEQUENCE {', '.join(SEQUENCES)} TO {GROUP}"]
+    return [*laid, f"GRANT USAGE ON SEQUENCE parcel_id_seq TO {GROUP}"]
 
 
 def _quoted(name: str) -> str:
