@@ -90,8 +90,8 @@ class JudgedContent:
     verdict: Verdict
 
     def draft(self, basis: Document, *, releases: bool, by: str | None, reason: str | None = None) -> Draft:
-        """The draft of it."""
-        doubts = to_dicts(self.doubts)
+        """The draft of it. Doubts about effects that a person chose are not about the run's result."""
+        doubts = to_dicts(self.doubts) if basis["chosen"] is None else None
         return Draft(self.content, basis, self.verdict.to_dict(), releases, by, reason, doubts)
 
 
