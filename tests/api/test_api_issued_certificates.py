@@ -142,6 +142,29 @@ def test_a_correction_is_a_new_certificate_that_names_the_one_it_replaces_and_wh
     assert client.get("/api/certificates", params={"unit": "another"}).json() == []
 
 
+def test_a_certificate_amends_no_other_unless_it_names_one(lab) -> None:
+    client, _ = lab
+    run = client.get("/api/runs").json()["items"][0]["id"]
+    client.post(f"/api/runs/{run}/poses/0/exclude", json={"reason": "knocked"}).raise_for_status()
+    why = {"reason": "without the knock"}
+    newest = client.get(f"/api/units/{UNIT}/calibrations").json()[0]
+    if newest["status"] == "draft":
+        client.post(f"/api/units/{UNIT}/calibrations/2/release", json=why).raise_for_status()
+    first = issued(client, revision=2)
+    kept = served(client, first["number"])
+    text = " ".join(text_of(kept["pdf"]).split())
+    assert "amends" not in text and "This revision evaluates the measurement of revision 1" in text
+    assert b"reportAmendedSubstituted" not in kept["dcc"] and b"previousReport" in kept["dcc"]
+    assert f"newest entry of the audit trail before the issue was {first['trail_seq']}," in text
+    second = issued(client, revision=2, replaces=first["number"], reason="wrong customer")
+    kept = served(client, second["number"])
+    assert f"This certificate amends and replaces certificate {first['number']}" in " ".join(
+        text_of(kept["pdf"]).split()
+    )
+    replaced = f"<dcc:replacedUniqueIdentifier>{first['number']}</dcc:replacedUniqueIdentifier>"
+    assert replaced.encode() in kept["dcc"]
+
+
 def test_what_cannot_be_issued_or_found_is_said(lab) -> None:
     client, _ = lab
     path = f"/api/units/{UNIT}/certificates"
