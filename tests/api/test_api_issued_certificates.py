@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,10 @@ from pyhanko_certvalidator import ValidationContext
 from signxml.verifier import XMLVerifier
 from support import POSES, running_service, serving
 
+from calrig.analysis.certificates import issue_certificate
 from calrig.laboratory import LaboratorySettings
 from calrig.settings import RigSettings
+from calrig.store.errors import Refused
 
 UNIT = "AS-7"
 TYPES = {"pdf": "application/pdf", "dcc": "application/xml", "json": "application/json"}
@@ -178,6 +180,19 @@ def test_what_cannot_be_issued_or_found_is_said(lab) -> None:
     drafted = client.post(f"/api/units/{UNIT}/calibrations", json={"run_id": run}).raise_for_status().json()
     if drafted["status"] == "draft":
         assert client.post(path, json={"revision": drafted["revision"]}).status_code == 409
+
+
+def test_a_revision_that_is_withdrawn_while_its_certificate_is_made_gets_none(lab) -> None:
+    _, service = lab
+    revision = service.store.revisions.get(UNIT, 1)
+
+    def withdrawn_meanwhile(typeset: Callable[[], bytes]) -> bytes:
+        service.issuer.withdraw(UNIT, 1, by="ada", reason="the clamp was loose")
+        return typeset()
+
+    with pytest.raises(Refused, match="is withdrawn now"):
+        issue_certificate(service.store, revision, LaboratorySettings(), carried_out=withdrawn_meanwhile)
+    assert service.store.certificates.of(UNIT) == []
 
 
 def test_it_is_in_the_trail_whose_newest_entries_cannot_be_cut_off_unseen(lab) -> None:
