@@ -28,6 +28,7 @@ export async function importView({ root, signal }) {
   const rig = select({ id: "rig" }, [["", "no rig of this service"], ...rigs.map(({ name }) => name)]);
   const std = h("input", { id: "reference-std", type: "number", min: "0", step: "any", "aria-describedby": "reference-hint" });
   const kind = select({ id: "reference-kind" }, KINDS);
+  const certificate = h("input", { id: "reference-certificate", maxlength: "100" });
   const error = errorLine("import-error");
   const work = new LongWork("import", WORDS, signal);
   const state = h("p", { id: "import-told", class: "muted", role: "status" });
@@ -43,6 +44,7 @@ export async function importView({ root, signal }) {
       field("reference-std", "Reference uncertainty (°)", std),
       field("reference-kind", "Kind of reference error", kind),
     ),
+    field("reference-certificate", "Reference certificate (number)", certificate),
     h("p", { class: "muted", id: "reference-hint" }, REFERENCE_HINT),
     work.element,
     error.element,
@@ -60,9 +62,10 @@ export async function importView({ root, signal }) {
     if (rig.value) body.set("rig", rig.value);
     if (std.value) body.set("reference_std_deg", std.value);
     if (kind.value) body.set("reference_kind", kind.value);
+    if (certificate.value) body.set("reference_certificate", certificate.value);
     return carryOut(work.send(ADDRESS, body));
   });
-  for (const input of [file, unit, rig, std, kind]) input.addEventListener("input", () => error.say(null));
+  for (const input of [file, unit, rig, std, kind, certificate]) input.addEventListener("input", () => error.say(null));
   fill(root, h("h1", {}, "Import measured poses"), form, help());
   work.resumeWith(ADDRESS, submit, error, carryOut);
 }

@@ -256,6 +256,16 @@ def active_calibration(
     )
 
 
+def require_not_withdrawn(store: Store, unit: str, number: int | None) -> None:
+    """Raise Conflict if a unit's revision, named for a new verification, was withdrawn."""
+    found = None if number is None else store.revisions.get(unit, number)
+    if found is not None and found.status == "withdrawn":
+        raise Conflict(
+            f"revision {number} of unit {unit!r} has been withdrawn and is not verified: name another one, "
+            "or none for the one in force"
+        )
+
+
 def _promise(
     store: Store,
     found: Revision,

@@ -225,6 +225,7 @@ def issue_certificate(
         Invalid: it replaces one and no reason is given.
         Unknown: there is no certificate of that number.
         Conflict: the revision is a draft or withdrawn, or the certificate was replaced already.
+        Refused: the revision was released, superseded or withdrawn while the bytes were made.
         WorkError: it cannot be signed with the laboratory's key.
     """
     if revision.status in ("draft", "withdrawn"):
@@ -256,7 +257,7 @@ def issue_certificate(
         trail_seq=issue.trail_seq,
         trail_sha256=issue.trail_sha256,
     )
-    return store.certificates.add(issued, pdf, dcc)
+    return store.certificates.add(issued, pdf, dcc, revision.status)
 
 
 def archive_of(store: Store, serial: str) -> Iterator[bytes]:

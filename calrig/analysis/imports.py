@@ -43,6 +43,7 @@ class ImportOrigin:
         configured: Sequence[RigSettings] = (),
         std_deg: float | None = None,
         kind: StatedKind | None = None,
+        certificate: str | None = None,
     ) -> ImportOrigin:
         """Return the origin as requested, with the reference of a configured rig of this name.
 
@@ -51,26 +52,28 @@ class ImportOrigin:
             configured: the rigs.
             std_deg: stated standard uncertainty of the reference, degrees.
             kind: how its error is shared among poses; None for the usual one.
+            certificate: that the uncertainty is taken from.
 
         Raises:
-            Invalid: the uncertainty is out of its bounds, or a kind is stated without it.
+            Invalid: the uncertainty is out of its bounds, or a kind or a certificate is stated without it.
         """
         if std_deg is None:
-            if kind is not None:
-                raise Invalid(
-                    f"reference_kind {kind!r} states no uncertainty: add reference_std_deg",
-                    ["reference_kind"],
-                )
+            for name, given in (("reference_kind", kind), ("reference_certificate", certificate)):
+                if given is not None:
+                    raise Invalid(f"{name} {given!r} states no uncertainty: add reference_std_deg", [name])
+        elif certificate is not None and not _is_number(certificate):
+            said = f"reference_certificate is no number of 1 to {LONGEST_SERIAL} printable characters"
+            raise Invalid(said, ["reference_certificate"])
         elif not 0.0 < std_deg <= MOST_REFERENCE_STD_DEG:
             said = f"reference_std_deg is {std_deg:g}, not above 0 and at most {MOST_REFERENCE_STD_DEG:g}"
             raise Invalid(said, ["reference_std_deg"])
         of_rig = next((one.reference for one in configured if one.name == rig), None)
-        return cls(rig, of_rig, None if std_deg is None else _settings(std_deg, kind))
+        return cls(rig, of_rig, None if std_deg is None else _settings(std_deg, kind, certificate))
 
     def reference(self, of_file: FileReference | None) -> tuple[ReferenceSettings | None, list[str]]:
         """Return the reference that counts, and a warning if the file states another one."""
         in_file = None if of_file is None else _settings(of_file.std_deg, of_file.kind)
-        if self.stated is None or in_file in (None, self.stated):
+        if self.stated is None or in_file is None or _in_words(in_file) == _in_words(self.stated):
             return self.stated or in_file or self.of_rig, []
         return self.stated, [
             f"the file states a reference of {_in_words(in_file)}; the one stated for this import counts, "
@@ -78,8 +81,12 @@ class ImportOrigin:
         ]
 
 
-def _settings(std_deg: float, kind: StatedKind | None) -> ReferenceSettings:
-    usual = ReferenceSettings(std_deg=std_deg)
+def _is_number(certificate: str) -> bool:
+    return 0 < len(certificate.strip()) <= len(certificate) <= LONGEST_SERIAL and certificate.isprintable()
+
+
+def _settings(std_deg: float, kind: StatedKind | None, certificate: str | None = None) -> ReferenceSettings:
+    usual = ReferenceSettings(std_deg=std_deg, certificate=certificate)
     return usual if kind is None else usual.model_copy(update={"kind": kind})
 
 

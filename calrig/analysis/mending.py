@@ -2,13 +2,17 @@
 
 Earlier versions stored an amendment and its entry in the audit log first, then the result that follows from
 it, then the draft. If the process was killed in between, the draft or the result is missing.
+
+A whole change may have no draft and a result that differs from the one of today. Therefore a result counts
+as missing only if the stored one is that of before the change, and a draft only if no current revision rests
+on the unit's own effects and the poses as they are.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 from calrig.analysis.amendments import Records
@@ -17,7 +21,7 @@ from calrig.analysis.revisions import EVERY_ENTRY, Issuer
 from calrig.analysis.stored_runs import counted_poses
 from calrig.analysis.unit_of_work import Fits, in_one_transaction
 from calrig.model.result import Result
-from calrig.store import Run, Store
+from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.trail import Act, Entry, What
 
 log = logging.getLogger(__name__)
@@ -42,8 +46,10 @@ def mend(store: Store, issuer: Issuer) -> list[str]:
 
     Each is entered in the audit log as `mended`, and so is that the store was checked.
     """
-    entries = store.trail.entries(what=(*_IN_WORDS, *_FOLLOW, "mended"), limit=EVERY_ENTRY)
-    if any(one.act.what == "mended" and one.act.unit is None for one in entries):
+    if any(one.act.unit is None for one in store.trail.entries(what=("mended",), limit=EVERY_ENTRY)):
+        return []
+    entries = store.trail.entries(what=(*_IN_WORDS, *_FOLLOW), limit=EVERY_ENTRY)
+    if not entries:
         return []
     unfitted, undrafted = _without_result(entries), _without_draft(entries)
     says = []
@@ -53,10 +59,9 @@ def mend(store: Store, issuer: Issuer) -> list[str]:
         says += in_one_transaction(store, partial(_mend_draft, store, issuer, unit, entry))
     for one in says:
         log.warning(one)
-    if unfitted or undrafted:
-        n = len({entry.seq for entry in (*unfitted, *undrafted.values())})
-        reason = f"{n} changes by earlier versions checked; {len(says)} were half done and are completed"
-        store.trail.add(Act("mended", reason=reason))
+    n = len({entry.seq for entry in (*unfitted, *undrafted.values())})
+    reason = f"{n} changes without a draft were checked; {len(says)} were half done and are completed"
+    store.trail.add(Act("mended", reason=reason))
     return says
 
 
@@ -93,11 +98,28 @@ def _mend_result(store: Store, entry: Entry, _fits: Fits) -> list[str]:
     run = _run_of(store, entry)
     if run is None or run.result is None or run.kind == "verification" or run.voided is not None:
         return []
-    result = refitted(store, run, counted_poses(store, run.id))
-    if _is_same(run.result, result):
+    in_force = store.effects.in_force(run.unit, run.rig)
+    if any(one.is_joint for one in in_force):  # a later version has fitted all acceptances together
+        return []
+    poses = counted_poses(store, run.id)
+    result, before = refitted(store, run, poses), _effects_before(store, run, entry, in_force)
+    is_before = _is_same(run.result, refitted(store, run, poses, before))
+    if _is_same(run.result, result) or not is_before:
         return []
     store.runs.set_result(run.id, result)
     return [_told(store, entry, run, "its result")]
+
+
+def _effects_before(
+    store: Store, run: Run, entry: Entry, in_force: Sequence[AcceptedEffect]
+) -> list[AcceptedEffect]:
+    """Return the effects that were in force before an acceptance or a withdrawal."""
+    names = entry.act.detail.get("effects") or ()
+    others = [one for one in in_force if not (one.run_id == run.id and one.name in names)]
+    if entry.act.what == "accepted":
+        return others
+    withdrawn = {one.name: one for one in store.effects.ever_accepted(run.id) if one.name in names}
+    return [*(one for one in others if one.name not in withdrawn), *withdrawn.values()]
 
 
 def _mend_draft(store: Store, issuer: Issuer, unit: str, entry: Entry, fits: Fits) -> list[str]:
@@ -106,6 +128,8 @@ def _mend_draft(store: Store, issuer: Issuer, unit: str, entry: Entry, fits: Fit
         return []
     if entry.act.what in ("voided", "unvoided"):
         Records(store, issuer).refit_effects(run, fits)
+    if not issuer.lacks_draft(run.model_copy(update={"unit": unit})):
+        return []
     why = f"completed at the start: {_IN_WORDS[entry.act.what]} (run {run.id}, audit log {entry.seq})"
     made = issuer.redraft(run.model_copy(update={"unit": unit}), by=entry.act.who, reason=why)
     if made is None:

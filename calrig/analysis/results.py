@@ -104,12 +104,16 @@ def unused_map_says(poses: Sequence[Pose], provenance: Document) -> str | None:
     return f"{beyond_in_words(poses, in_force)} {instead}"
 
 
-def refitted(store: Store, run: Run, poses: Sequence[Pose]) -> Result:
+def refitted(
+    store: Store, run: Run, poses: Sequence[Pose], accepted: Sequence[AcceptedEffect] | None = None
+) -> Result:
     """The result of a run that has one, computed again from some of its poses.
 
-    What it says of the gyro stays: that is from samples, which may have been pruned.
+    What it says of the gyro stays: that is from samples, which may have been pruned. `accepted` are the
+    effects taken out; None for those in force.
     """
-    accepted = store.effects.in_force(run.unit, run.rig)
+    if accepted is None:
+        accepted = store.effects.in_force(run.unit, run.rig)
     result = fitted(poses, accepted, run.provenance, gyro_of(run), ending_of(run), run.id)
     if run.result is not None and "doubts" in run.result.model_fields_set:  # until the next draft says
         result = result.with_doubts(run.result.doubts)

@@ -90,8 +90,8 @@ class JudgedContent:
     verdict: Verdict
 
     def draft(self, basis: Document, *, releases: bool, by: str | None, reason: str | None = None) -> Draft:
-        """The draft of it."""
-        doubts = to_dicts(self.doubts)
+        """The draft of it. Doubts about effects that a person chose are not about the run's result."""
+        doubts = to_dicts(self.doubts) if basis["chosen"] is None else None
         return Draft(self.content, basis, self.verdict.to_dict(), releases, by, reason, doubts)
 
 
@@ -179,15 +179,7 @@ class Issuer:
         where a current revision of it rests on the same already. A joint solution in force gives way to no
         single run while its own counts: it is listed as stale, and to be solved again.
         """
-        in_force, now = self._store.revisions.in_force(changed.unit), stored_run(self._store, changed.id)
-        still_counts = now.voided is None and now.unit == changed.unit
-        if in_force is not None and "solution" in in_force.basis and still_counts:
-            return None
-        if in_force is not None and in_force.run_id == now.id and now.unit == changed.unit:
-            base: Run | None = None if why_not_now(now) else now
-        else:
-            base = None
-        base = base or self._store.runs.latest_calibration(changed.unit)
+        base = self._next_base(changed)
         if base is None:
             return None
         fit = self._fit(base)
@@ -196,6 +188,36 @@ class Issuer:
             if one.run_id == base.id and one.status in ("draft", "in_force") and one.basis == basis:
                 return None
         return self._store.revisions.issue(base.id, self._draft(base, fit, by=by, reason=reason))
+
+    def lacks_draft(self, changed: Run) -> bool:
+        """Return whether the unit has no current revision with its own effects and the poses as they are.
+
+        Effects of the rig are left aside: they may have been accepted from another unit's run since.
+        """
+        base = self._next_base(changed)
+        if base is None:
+            return False
+        accepted = self._store.effects.in_force(base.unit, base.rig)
+        own = {effect.id for effect in accepted if effect.unit is not None}
+        excluded = sorted(self._store.poses.excluded(base.id))
+        for one in self._store.revisions.of(base.unit):
+            if one.run_id != base.id or one.status not in ("draft", "in_force"):
+                continue
+            used = self._store.effects.by_id([int(number) for number in one.basis["effects"]])
+            of_unit = {effect.id for effect in used if effect.unit is not None}
+            if one.basis["chosen"] is None and (of_unit, one.basis["excluded"]) == (own, excluded):
+                return False
+        return True
+
+    def _next_base(self, changed: Run) -> Run | None:
+        """The run that a unit's next draft is of, after a run of it has changed; None if there is none."""
+        in_force, now = self._store.revisions.in_force(changed.unit), stored_run(self._store, changed.id)
+        is_of_unit = now.unit == changed.unit
+        if in_force is not None and "solution" in in_force.basis and now.voided is None and is_of_unit:
+            return None
+        if in_force is not None and in_force.run_id == now.id and is_of_unit and not why_not_now(now):
+            return now
+        return self._store.runs.latest_calibration(changed.unit)
 
     def release(self, unit: str, number: int, *, by: str | None, reason: str | None) -> Revision:
         """Puts a draft or a superseded revision in force; a reason is kept with it where there is one.

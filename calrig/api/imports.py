@@ -51,6 +51,10 @@ async def import_poses(
     reference_kind: Annotated[
         StatedKind | None, Form(description="How its error is shared among poses; `harmonic` without it.")
     ] = None,
+    reference_certificate: Annotated[
+        str | None,
+        Form(min_length=1, max_length=100, description="Certificate that the uncertainty is from."),
+    ] = None,
     wait: Wait = True,
 ) -> Any:
     """A bad file is 422, names line and column, and stores nothing.
@@ -63,7 +67,7 @@ async def import_poses(
     if rig is not None:
         with suppress(Unknown):  # a rig of elsewhere is only a name
             configured.append(await run_in_threadpool(context.service.known_rig, rig))
-    origin = ImportOrigin.of(rig, configured, reference_std_deg, reference_kind)
+    origin = ImportOrigin.of(rig, configured, reference_std_deg, reference_kind, reference_certificate)
 
     async def work(job: Job) -> Run:
         async with on_disk(copied(file)) as path:

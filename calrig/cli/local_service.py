@@ -39,11 +39,12 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
         )
     with Store.open(url, writer=command) as store:
         keep_configured(settings, store)
-        issuer = Issuer(store)
-        issuer.bring_over()
-        mend(store, issuer)
+        from calrig.centre.bench_rigs import BenchRigs
         from calrig.centre.service import CentreService
 
+        issuer = Issuer(store, BenchRigs(store).releases())
+        issuer.bring_over()
+        mend(store, issuer)
         with closing(CentreService(store, url)) as service:
             yield service
 

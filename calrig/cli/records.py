@@ -42,12 +42,18 @@ def import_(
             "(the default), or common to all poses."
         ),
     ] = None,
+    reference_certificate: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBER", help="Certificate that the uncertainty of --reference-std is from."),
+    ] = None,
     db: Db = None,
     server: Server = None,
 ) -> None:
     """Import a CSV of poses as a run and print its id; its verdict goes to standard error."""
-    if reference_std is None and reference_kind is not None:
-        raise InputError(f"--reference-kind {reference_kind} states no uncertainty: add --reference-std DEG")
+    stated = (("--reference-kind", reference_kind), ("--reference-certificate", reference_certificate))
+    for option, given in stated:
+        if reference_std is None and given is not None:
+            raise InputError(f"{option} {given} states no uncertainty: add --reference-std DEG")
     if reference_std is not None:
         from calrig.model.result import MOST_REFERENCE_STD_DEG
 
@@ -59,7 +65,8 @@ def import_(
     if there is not None:
         from calrig.cli.output import print_says
 
-        record = _imported_there(there, file, unit, rig, reference_std, reference_kind).record
+        of_reference = (reference_std, reference_kind, reference_certificate)
+        record = _imported_there(there, file, unit, rig, *of_reference).record
         typer.echo(record.id)
         print_says(record.verdict.says if record.verdict else ())
         return
@@ -88,7 +95,9 @@ def import_(
                 rig=rig,
                 file_name=name,
                 content=content,
-                origin=ImportOrigin.of(rig, settings.rig, reference_std, reference_kind),
+                origin=ImportOrigin.of(
+                    rig, settings.rig, reference_std, reference_kind, reference_certificate
+                ),
                 progress=told,
             )
     typer.echo(made.id)
@@ -103,6 +112,7 @@ def _imported_there(
     rig: str | None,
     reference_std_deg: float | None,
     reference_kind: StatedKind | None,
+    reference_certificate: str | None,
 ) -> Run:
     from calrig.cli.progress import late_bars
 
@@ -114,6 +124,7 @@ def _imported_there(
             rig=rig,
             reference_std_deg=reference_std_deg,
             reference_kind=reference_kind,
+            reference_certificate=reference_certificate,
             sent=sent,
             told=told,
         )

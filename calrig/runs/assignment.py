@@ -9,7 +9,11 @@ from typing import Any, Self
 
 from pydantic import TypeAdapter
 
-from calrig.analysis.calibration_in_force import ActiveCalibration, active_calibration
+from calrig.analysis.calibration_in_force import (
+    ActiveCalibration,
+    active_calibration,
+    require_not_withdrawn,
+)
 from calrig.analysis.errors import Conflict
 from calrig.analysis.imports import provenance
 from calrig.analysis.stage_maps import provenance_part
@@ -123,6 +127,7 @@ class NewRun:
         """
         wanted = self
         if self.plan.kind == "verification" and self.verifies is None:
+            require_not_withdrawn(store, self.unit, self.plan.revision)
             verifies = active_calibration(store, self.unit, rig, self.plan.revision)
             wanted = replace(wanted, verifies=verifies)
         if "stage_map" not in self.origin:  # a centre's order has brought the one in force there

@@ -147,6 +147,13 @@ class AcceptedEffects(Repository):
                 together[:] = [*(other for other in together if other.parameters != one.parameters), one]
         return list(found.values())
 
+    def ever_accepted(self, run_id: str) -> list[AcceptedEffect]:
+        """Effects that were accepted from a run, the oldest first, those that were taken back since too."""
+        with self._database.reading() as session:
+            run = run_row(session, run_id)
+            rows = accepted_from(session, run)
+            return [_accepted(row, run.uid) for row in rows if not _is_joint(row)]
+
     def by_id(self, ids: Sequence[int]) -> list[AcceptedEffect]:
         """Effects that were accepted, by their ids, those that were taken back since among them."""
         found = []

@@ -11,10 +11,11 @@ from sqlalchemy import ColumnElement
 from sqlalchemy.orm import defer
 from sqlmodel import col, select
 
+from calrig.model.calibration import RevisionStatus
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
-from calrig.store.tables import CertificateTable
+from calrig.store.tables import CertificateTable, IssuedCalibrationTable
 from calrig.store.trail import Act, append
 
 Form = Literal["pdf", "dcc"]
@@ -50,15 +51,26 @@ class IssuedCertificate:
 class Certificates(Repository):
     """Every certificate that was issued; none ever changes."""
 
-    def add(self, issued: IssuedCertificate, pdf: bytes | None, dcc: bytes) -> IssuedCertificate:
-        """Store a certificate and its entry in the trail.
+    def add(
+        self, issued: IssuedCertificate, pdf: bytes | None, dcc: bytes, status: RevisionStatus
+    ) -> IssuedCertificate:
+        """Store a certificate and its entry in the trail; `status` is that of its revision in the bytes.
 
         Raises:
             NotFound: there is no certificate of the number that it replaces.
-            Refused: that one is of another unit, or was replaced already.
+            Refused: that one is of another unit, or was replaced already; or the revision has another status
+                since the bytes were made.
         """
         said = {name: getattr(issued, name) for name in _COLUMNS}
         with self._database.writing() as session:
+            revision = session.get(IssuedCalibrationTable, (issued.unit, issued.revision))
+            now = None if revision is None else revision.status
+            if now != status:
+                raise Refused(
+                    f"revision {issued.revision} of unit {issued.unit!r} was {status.replace('_', ' ')} when "
+                    f"its certificate was made and is {(now or 'gone').replace('_', ' ')} now: nothing was "
+                    "issued; look at the revision and issue its certificate again"
+                )
             if issued.replaces is not None:
                 before = session.get(CertificateTable, issued.replaces)
                 if before is None:

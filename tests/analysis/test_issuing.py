@@ -175,6 +175,21 @@ def test_a_person_chooses_which_accepted_effects_enter(lab):
         lab.issuer.draft("A", run.id, ["backlash"])
 
 
+def test_a_draft_with_fewer_effects_leaves_the_verdict_of_the_run_as_it_is(lab):
+    warm = (
+        f"{x},{0.8 + 1.001 * x + 0.02 * (7 * k % 13)},{20 + 7 * k % 13},0.03"
+        for k, x in enumerate(range(-60, 61, 10))
+    )
+    columns = "target_deg,reading_deg,temperature_c,reference_std_deg"
+    run = lab.imports(content="\n".join([columns, *warm]).encode())
+    lab.accepts(run)
+    before = lab.store.runs.get(run.id).result.doubts
+    bare = lab.issuer.draft("A", run.id, [], by="ada", reason="for an older autopilot")
+    assert (bare.status, bare.verdict["reliable"]) == ("draft", False)
+    assert any("does not correct" in says for says in bare.verdict["says"]), bare.verdict["says"]
+    assert lab.store.runs.get(run.id).result.doubts == before == []
+
+
 def test_a_voided_run_gives_way_to_the_latest_that_counts_and_else_stays_in_force_stale(lab):
     first, second = lab.imports(), lab.imports(content=CSV.replace(b",20\n", b",21\n"))
     lab.records.void(second.id, "wrong clamp")

@@ -16,7 +16,8 @@ from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Acceptance
 from calrig.analysis.errors import Conflict
 from calrig.analysis.mending import mend
-from calrig.analysis.revisions import Issuer
+from calrig.analysis.results import refitted
+from calrig.analysis.revisions import Issuer, Releases
 from calrig.store import AcceptedEffect, Run, Store
 
 OFFSET, WARMTH = (name for name, _ in EFFECTS)
@@ -186,6 +187,45 @@ class TestMending:
         drafts = {unit: store.revisions.of(unit)[0].run_id for unit in (UNIT, "AS-9")[: len(says)]}
         expected = {UNIT: run.id if act == "exclude" else earlier.id}
         assert drafts == (expected | {"AS-9": run.id} if act == "move" else expected)
+
+    def test_a_completed_draft_on_a_manual_rig_waits_for_a_person(self, store: Store) -> None:
+        run = diagnosed_run(store, measured(np.random.default_rng(3), FIRST_C), WARMTH)
+        Issuer(store).draft(UNIT, run.id)
+        self.accept_half(store, run)
+        mend(store, Issuer(store, Releases({"bench-1": "manual"})))
+        assert [one.status for one in store.revisions.of(UNIT)] == ["draft", "in_force"]
+
+    def test_a_whole_change_without_a_draft_stays_as_it_is_whatever_followed(self, store: Store) -> None:
+        """Effects of the rig and a joint model that came later change neither its result nor its draft."""
+        poses = [measured(np.random.default_rng(k), ends) for k, ends in ((3, FIRST_C), (4, SECOND_C))]
+        first, second = (diagnosed_run(store, one, WARMTH) for one in poses)
+        Acceptance(store).accept(first.id, [WARMTH])
+        Issuer(store).draft(UNIT, second.id)
+        unused = diagnosed_run(store, poses[0])
+        Records(store).void(unused.id, WHY)  # no revision rests on it: there is no draft
+        of_rig = {"name": "backlash", "parameters": {"backlash_deg": 0.02}, "origin": "stage"}
+        store.effects.accept(second.id, [AcceptedEffect(second.id, None, "bench-1", **of_rig)])
+        before = store.runs.get(first.id), len(store.revisions.of(UNIT))
+        assert mend(store, Issuer(store)) == []
+        assert (store.runs.get(first.id), len(store.revisions.of(UNIT))) == before
+
+    def test_an_acceptance_whose_draft_was_not_wanted_is_not_fitted_again(self, store: Store) -> None:
+        poses = [measured(np.random.default_rng(k), ends) for k, ends in ((3, FIRST_C), (4, SECOND_C))]
+        first, second = (diagnosed_run(store, one, WARMTH) for one in poses)
+        self.accept_half(store, first)  # whole, but for the draft: a joint solution was in force
+        store.runs.set_result(first.id, refitted(store, first, poses[0]))
+        Acceptance(store).accept(second.id, [WARMTH])  # the joint model of both
+        kept = store.runs.get(first.id)
+        says = mend(store, Issuer(store))
+        assert not any("its result" in one for one in says)
+        assert store.runs.get(first.id) == kept
+
+    def test_a_store_is_checked_once_before_its_own_changes(self, store: Store, run: Run) -> None:
+        mend(store, Issuer(store))
+        Records(store).void(run.id, WHY)
+        before = state(store)
+        assert mend(store, Issuer(store)) == []
+        assert state(store) == before
 
     def test_whole_changes_stay_as_they_are(self, store: Store, run: Run) -> None:
         Records(store).void(run.id, WHY)

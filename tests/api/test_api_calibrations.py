@@ -111,6 +111,9 @@ def test_a_unit_whose_only_calibration_was_withdrawn_is_not_verified_nor_due_by_
     assert "withdrawn" in after["due_says"]
     plan = {"unit": before["serial"], "plan": {"kind": "verification"}}
     assert client.post("/api/runs", json=plan).status_code == 409
+    for number in (1, 2):
+        answer = client.post("/api/runs", json={**plan, "plan": {**plan["plan"], "revision": number}})
+        assert answer.status_code == 409 and f"revision {number}" in answer.json()["detail"]
 
 
 def test_a_draft_of_a_run_is_made_by_request(client, unit):

@@ -164,7 +164,7 @@ def test_an_amendment_names_what_it_replaces_and_other_words_have_another_number
 ) -> None:
     client, service = lab
     first, second = content(service, 1), content(service, 2)
-    assert second.replaces is not None and second.replaces.amends
+    assert second.replaces is not None and second.replaces.is_same_run
     assert (second.replaces.revision, second.replaces.sha256) == (1, first.document_sha256)
     assert (first.replaces, first.status) == (None, "superseded")
     text = flat("".join(pages_of(pdf_of(client, revision=1), 1)))

@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Iterator
 from typing import Any
+from xml.etree import ElementTree
 
 import httpx
 import numpy as np
@@ -129,6 +130,32 @@ def test_an_import_is_released_certified_exported_and_applied(client, tmp_path):
     assert 0.0 < applied["elevation_std_deg"] < 2.0 * STD_DEG
 
 
+def test_a_certificate_of_an_import_states_what_is_known_of_it_and_nothing_else(client):
+    unit = "IM-elsewhere-certified"
+    form = {"reference_std_deg": "0.03", "reference_certificate": "E-77/2026"}
+    run = imported(client, unit, poses(), **form)
+    client.post(f"/api/units/{unit}/calibrations/1/release", json={"reason": "ok"}).raise_for_status()
+    number = client.post(f"/api/units/{unit}/certificates", json={"revision": 1}).json()["number"]
+    pdf, dcc = (
+        client.get(f"/api/certificates/{number}", params={"format": form}).raise_for_status().content
+        for form in ("pdf", "dcc")
+    )
+    text = " ".join("".join(p.extract_text() for p in pypdf.PdfReader(io.BytesIO(pdf)).pages).split())
+    assert "traceable to the certificate E-77/2026" in text and "E-77/2026" in dcc.decode()
+    for unknown in ("die thermometer", "own clock", "rule of its rig"):
+        assert unknown not in text and unknown not in dcc.decode()
+    day = run["created_at"][:10]
+    assert f"not stated; measured no later than {day}" in text
+    root, names = ElementTree.fromstring(dcc), {"dcc": "https://ptb.de/dcc"}
+    core = root.find(".//dcc:coreData", names)
+    for tag in ("beginPerformanceDate", "endPerformanceDate"):
+        assert core.findtext(f"dcc:{tag}", namespaces=names) == day
+    said = root.find(".//dcc:statement[@refType='calrig_dates']", names)
+    assert "not stated" in " ".join(said.itertext()) and "import" in " ".join(said.itertext())
+    released = root.find(".//dcc:statement[@refType='calrig_release']", names)
+    assert released.findtext("dcc:date", namespaces=names) is not None
+
+
 @pytest.mark.parametrize(
     ("form", "field"),
     [
@@ -137,6 +164,8 @@ def test_an_import_is_released_certified_exported_and_applied(client, tmp_path):
         ({"reference_std_deg": "1e308"}, "reference_std_deg"),
         ({"reference_std_deg": "0.1", "reference_kind": "map"}, "reference_kind"),
         ({"reference_kind": "common"}, "reference_std_deg"),
+        ({"reference_certificate": "K-1"}, "reference_std_deg"),
+        ({"reference_std_deg": "0.1", "reference_certificate": "K\u202e1"}, "reference_certificate"),
     ],
 )
 def test_a_reference_that_states_nothing_is_refused_with_its_field(client, form, field):
@@ -172,11 +201,18 @@ def test_columns_that_state_no_reference_are_refused_with_line_and_column(
 def test_the_command_line_states_it_here_and_to_a_service(client, tmp_path):
     file, store = tmp_path / "poses.csv", tmp_path / "own.db"
     file.write_text(poses())
-    stated = ("--reference-std", STD_DEG, "--reference-kind", "common")
+    stated = ("--reference-std", STD_DEG, "--reference-kind", "common", "--reference-certificate", "K-9")
     calrig("import", file, "--unit", "IM-there", *stated, "--server", str(client.base_url))
     calrig("import", file, "--unit", "IM-here", *stated, "--db", store)
     here = json.loads(calrig("export", "--unit", "IM-here", "--db", store).stdout)
     there = newest(client, "IM-there")
     assert here["expanded_uncertainty_deg"] == there["expanded_uncertainty_deg"] > STD_DEG
-    for bad in (("--reference-std", 0), ("--reference-std", "inf"), ("--reference-kind", "common")):
+    for document in (here, there):
+        assert document["provenance"]["rig"]["reference"]["certificate"] == "K-9"
+    for bad in (
+        ("--reference-std", 0),
+        ("--reference-std", "inf"),
+        ("--reference-kind", "common"),
+        ("--reference-certificate", "K"),
+    ):
         calrig("import", file, "--unit", "IM-bad", *bad, "--db", store, status=2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,10 @@ from pyhanko_certvalidator import ValidationContext
 from signxml.verifier import XMLVerifier
 from support import POSES, running_service, serving
 
+from calrig.analysis.certificates import issue_certificate
 from calrig.laboratory import LaboratorySettings
 from calrig.settings import RigSettings
+from calrig.store.errors import Refused
 
 UNIT = "AS-7"
 TYPES = {"pdf": "application/pdf", "dcc": "application/xml", "json": "application/json"}
@@ -142,6 +144,29 @@ def test_a_correction_is_a_new_certificate_that_names_the_one_it_replaces_and_wh
     assert client.get("/api/certificates", params={"unit": "another"}).json() == []
 
 
+def test_a_certificate_amends_no_other_unless_it_names_one(lab) -> None:
+    client, _ = lab
+    run = client.get("/api/runs").json()["items"][0]["id"]
+    client.post(f"/api/runs/{run}/poses/0/exclude", json={"reason": "knocked"}).raise_for_status()
+    why = {"reason": "without the knock"}
+    newest = client.get(f"/api/units/{UNIT}/calibrations").json()[0]
+    if newest["status"] == "draft":
+        client.post(f"/api/units/{UNIT}/calibrations/2/release", json=why).raise_for_status()
+    first = issued(client, revision=2)
+    kept = served(client, first["number"])
+    text = " ".join(text_of(kept["pdf"]).split())
+    assert "amends" not in text and "This revision evaluates the measurement of revision 1" in text
+    assert b"reportAmendedSubstituted" not in kept["dcc"] and b"previousReport" in kept["dcc"]
+    assert f"newest entry of the audit trail before the issue was {first['trail_seq']}," in text
+    second = issued(client, revision=2, replaces=first["number"], reason="wrong customer")
+    kept = served(client, second["number"])
+    assert f"This certificate amends and replaces certificate {first['number']}" in " ".join(
+        text_of(kept["pdf"]).split()
+    )
+    replaced = f"<dcc:replacedUniqueIdentifier>{first['number']}</dcc:replacedUniqueIdentifier>"
+    assert replaced.encode() in kept["dcc"]
+
+
 def test_what_cannot_be_issued_or_found_is_said(lab) -> None:
     client, _ = lab
     path = f"/api/units/{UNIT}/certificates"
@@ -155,6 +180,19 @@ def test_what_cannot_be_issued_or_found_is_said(lab) -> None:
     drafted = client.post(f"/api/units/{UNIT}/calibrations", json={"run_id": run}).raise_for_status().json()
     if drafted["status"] == "draft":
         assert client.post(path, json={"revision": drafted["revision"]}).status_code == 409
+
+
+def test_a_revision_that_is_withdrawn_while_its_certificate_is_made_gets_none(lab) -> None:
+    _, service = lab
+    revision = service.store.revisions.get(UNIT, 1)
+
+    def withdrawn_meanwhile(typeset: Callable[[], bytes]) -> bytes:
+        service.issuer.withdraw(UNIT, 1, by="ada", reason="the clamp was loose")
+        return typeset()
+
+    with pytest.raises(Refused, match="is withdrawn now"):
+        issue_certificate(service.store, revision, LaboratorySettings(), carried_out=withdrawn_meanwhile)
+    assert service.store.certificates.of(UNIT) == []
 
 
 def test_it_is_in_the_trail_whose_newest_entries_cannot_be_cut_off_unseen(lab) -> None:

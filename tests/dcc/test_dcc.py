@@ -77,8 +77,16 @@ def test_numbers_conformity_and_amendment_are_the_certificates_own():
         assert column.get("refId") == "asLeft"
         units = {unit.text for unit in root.iterfind(".//si:unit", NAMES)}
         assert units <= {unit for unit, _ in UNITS.values()} | set(UNITS)
-        assert (text("dcc:typeOfChange") == "amended") is bool(said.replaces and said.replaces.amends)
-        assert (text("dcc:date") is None) is (said.dates.calibrate_again is None)
+        assert text("dcc:typeOfChange") is None, "no certificate is named that it would replace"
+        assert text("dcc:previousReport/dcc:value") == (said.replaces and said.replaces.sha256)
+        days = {
+            one.get("refType"): one.findtext("dcc:date", namespaces=NAMES)
+            for one in root.iterfind(".//dcc:statement", NAMES)
+        }
+        dates = said.dates
+        for kind, day in (("recalibration", dates.calibrate_again), ("release", dates.released)):
+            assert days.get(f"calrig_{kind}") == (day and day.isoformat()[:10])
+        assert days["calrig_revisionMade"] == dates.revision_made.date().isoformat()
     assert len(seen) == 5
 
 

@@ -115,7 +115,7 @@ def _certify(store: Store) -> None:
             trail_seq=seq,
             trail_sha256=head,
         )
-        store.certificates.add(issued, pdf, dcc)
+        store.certificates.add(issued, pdf, dcc, revision.status)
         before = number
 
 

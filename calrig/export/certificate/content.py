@@ -417,11 +417,13 @@ class CalibrationItem:
 class Dates:
     """When it was calibrated, when the revision was made and put in force; times are aware, in UTC.
 
+    `measured_by` is the latest time by which it was measured: of imported poses, when they were imported.
     `issued` is when the certificate was; of a preview the time of the revision.
     """
 
     calibration_began: datetime | None
     calibration_ended: datetime | None
+    measured_by: datetime
     revision_made: datetime
     released: datetime | None
     issued: datetime
@@ -543,12 +545,15 @@ class Conformity:
 
 @dataclass(frozen=True, slots=True)
 class Replaced:
-    """An earlier revision in whose place this one is; `amends`: of the same measurement (7.8.8)."""
+    """An earlier revision in whose place this one is; `is_same_run`: of the same measurement.
+
+    It says nothing of certificates: one that amends another (7.8.8) names it in `Issue.replaces`.
+    """
 
     revision: int
     sha256: str
     issued: datetime
-    amends: bool
+    is_same_run: bool
     reason: str | None
 
 

@@ -307,9 +307,12 @@ def _dates(sources: Sources, released: Entry | None, issue: Issue | None) -> Dat
     if (solved := sources.revision.document["provenance"].get("solution")) is not None:
         began, ended = (_moment(solved[key]) for key in ("began_at", "ended_at"))
     again = None if months is None or ended is None else months_after(ended.date(), months)
+    if run.plan is None:
+        began = ended = None
     return Dates(
-        calibration_began=None if run.plan is None else began,
-        calibration_ended=None if run.plan is None else ended,
+        calibration_began=began,
+        calibration_ended=ended,
+        measured_by=ended or (run.created_at if run.plan is None else sources.revision.issued_at),
         revision_made=sources.revision.issued_at,
         released=None if released is None else released.at,
         issued=sources.revision.issued_at if issue is None else issue.at,
@@ -370,7 +373,10 @@ def _authorised(laboratory: LaboratorySettings, revision: Revision, released: En
 
 def _releaser(revision: Revision, released: Entry) -> str | None:
     """Who put it in force; what came into force as it was made did so by its rig's `release`."""
-    return "the release rule of its rig" if released.at == revision.issued_at else released.act.who
+    if released.at != revision.issued_at:
+        return released.act.who
+    is_imported = "imported_from" in revision.document["provenance"]
+    return f"the release rule {'for imports' if is_imported else 'of its rig'}"
 
 
 def _in_force(revision: Revision, released: Entry | None) -> str:
@@ -389,8 +395,8 @@ def _in_force(revision: Revision, released: Entry | None) -> str:
 def _replaced(revision: Revision, before: Revision | None) -> Replaced | None:
     if before is None:
         return None
-    amends = before.run_id == revision.run_id
-    return Replaced(before.revision, before.sha256, before.issued_at, amends, revision.reason)
+    is_same_run = before.run_id == revision.run_id
+    return Replaced(before.revision, before.sha256, before.issued_at, is_same_run, revision.reason)
 
 
 def _mark(entry: Entry) -> TrailMark:

@@ -217,7 +217,7 @@ WITHOUT = {
     "thermometer": "the sensor's own die thermometer",
     "time_base": "the board's own clock",
 }
-"""What measures where nothing else is stated."""
+"""What measures where nothing else is stated; of imported poses it is unknown."""
 
 
 def standards_of(document: Document, measured_at: datetime | None) -> tuple[Standard, ...]:
@@ -229,7 +229,11 @@ def standards_of(document: Document, measured_at: datetime | None) -> tuple[Stan
     """
     provenance = document["provenance"]
     rig = provenance.get("rig") or {}
-    stated = tuple(_standard(key, role, rig, provenance, measured_at) for key, role in ROLES)
+    stated = tuple(
+        _standard(key, role, rig, provenance, measured_at)
+        for key, role in ROLES
+        if key not in WITHOUT or rig.get(key) or "imported_from" not in provenance
+    )
     if "elevation_std_deg" in document:
         return (_gravity(document), *stated[1:])
     by_map = document["uncertainty"].get("reference")

@@ -340,6 +340,8 @@ def _dates(said: Certificate) -> Block:
     when = moment(ended)
     if began is not None and ended is not None:
         when = f"{moment(began)} to {moment(ended)}"
+    elif ended is None:
+        when = f"not stated; measured no later than {moment(dates.measured_by)}"
     rows = [
         ("Measurand", said.method.measurand),
         ("Date of calibration", when),
@@ -418,16 +420,18 @@ def _deviations(said: Certificate) -> tuple[Block, ...]:
     lines = [*said.gone, *said.deviations] or ["No deviations from the method."]
     replaced = said.replaces
     if replaced is not None:
-        what = "amends and replaces the certificate of" if replaced.amends else "follows the calibration of"
+        what = "evaluates the measurement of" if replaced.is_same_run else "follows the calibration of"
+        again = " again" if replaced.is_same_run else ""
         why = f" Reason: {replaced.reason}" if replaced.reason else ""
         lines.append(
-            f"This certificate {what} revision {replaced.revision} of {moment(replaced.issued)} (SHA-256 of "
-            f"its document {replaced.sha256}).{why}"
+            f"This revision {what} revision {replaced.revision} of {moment(replaced.issued)} (SHA-256 of "
+            f"its document {replaced.sha256}){again}.{why}"
         )
     issue = said.issue
     if issue is not None and issue.replaces is not None:
         lines.append(
-            f"This certificate replaces certificate {issue.replaces}. Reason: {stated(issue.reason)}."
+            f"This certificate amends and replaces certificate {issue.replaces}. Reason: "
+            f"{stated(issue.reason)}."
         )
     return (paragraphs(lines),)
 
@@ -442,8 +446,8 @@ def _records(said: Certificate) -> tuple[Block, ...]:
         )
     if said.issue is not None:
         lines.append(
-            f"Issued by {stated(said.issue.by)} at entry {said.issue.trail_seq} of the audit trail, whose "
-            f"head then was SHA-256 {said.issue.trail_sha256}"
+            f"Issued by {stated(said.issue.by)}; the newest entry of the audit trail before the issue was "
+            f"{said.issue.trail_seq}, SHA-256 {said.issue.trail_sha256}"
         )
     return (paragraphs([*lines, *said.software]),)
 

@@ -240,9 +240,8 @@ def _ref_types(name: str, namespace: str, link: str) -> ET.Element:
 
 def _core_data(said: Certificate, country: str | None) -> ET.Element:
     dates = said.dates
-    issued = dates.issued.date()
-    began = issued if dates.calibration_began is None else dates.calibration_began.date()
-    ended = issued if dates.calibration_ended is None else dates.calibration_ended.date()
+    began = (dates.calibration_began or dates.measured_by).date()
+    ended = (dates.calibration_ended or dates.measured_by).date()
     order = said.item.order
     identifications = [
         _identification("calibrationLaboratory", said.document_sha256, "SHA-256 of the calibration document"),
@@ -258,16 +257,11 @@ def _core_data(said: Certificate, country: str | None) -> ET.Element:
             dcc("typeOfChange", "substituted"),
             dcc("replacedUniqueIdentifier", plain(issue.replaces)),
         )
-    elif before is not None and before.amends:
-        amended = dcc(
-            "reportAmendedSubstituted",
-            dcc("typeOfChange", "amended"),
-            dcc("replacedUniqueIdentifier", f"revision {before.revision}, SHA-256 {before.sha256}"),
-        )
-    elif before is not None:
+    if before is not None:
+        what = "Evaluation of the same measurement" if before.is_same_run else "Calibration of the same unit"
         previous = dcc(
             "previousReport",
-            words("referral", "Calibration of the same unit that was in force until this one"),
+            words("referral", f"{what} that was in force until this one"),
             dcc("referralID", f"revision {before.revision}"),
             dcc("procedure", "SHA-256 of the calibration document"),
             dcc("value", before.sha256),
@@ -283,7 +277,7 @@ def _core_data(said: Certificate, country: str | None) -> ET.Element:
         _day("beginPerformanceDate", began),
         _day("endPerformanceDate", ended),
         dcc("performanceLocation", "laboratory" if dates.calibration_began is not None else "other"),
-        _day("issueDate", issued),
+        _day("issueDate", None if issue is None else dates.issued.date()),
         amended,
         previous,
     )
@@ -359,16 +353,20 @@ def _statements(said: Certificate) -> list[ET.Element]:
         stated.append(
             _statement(
                 "Issue",
-                f"Issued at entry {said.issue.trail_seq} of the audit trail, whose head then was SHA-256 "
-                f"{said.issue.trail_sha256}; revision of {said.dates.revision_made.date().isoformat()}.",
+                f"The newest entry of the audit trail before the issue was {said.issue.trail_seq}, SHA-256 "
+                f"{said.issue.trail_sha256}.",
             )
         )
         if said.issue.replaces is not None:
             why = f"Certificate {said.issue.replaces} is replaced. Reason: {said.issue.reason}"
             stated.append(_statement("Correction", why))
     if said.dates.calibration_began is None:
-        words_of_it = "The dates of measurement were not stated: in their place stands the date of issue."
-        stated.append(_statement("Dates", words_of_it))
+        words_of_it = (
+            "The dates of measurement were not stated: in their place stands the day by which it was "
+            "measured, that of the import."
+        )
+        stated.append(_statement("Dates", words_of_it, ref_type="calrig_dates"))
+    stated += _dated(said)
     if said.replaces is not None:
         number = said.replaces.revision
         why = f" Reason: {said.replaces.reason}" if said.replaces.reason else ""
@@ -396,6 +394,26 @@ def _statements(said: Certificate) -> list[ET.Element]:
     if said.laboratory.accreditation is not None:
         stated.append(_statement("Accreditation", said.laboratory.accreditation))
     return stated
+
+
+def _dated(said: Certificate) -> list[ET.Element]:
+    """The dates that the schema has no elements for."""
+    dates = said.dates
+    made = _statement(
+        "Revision made",
+        f"Revision {said.revision} of the calibration was made on this day.",
+        ref_type="calrig_revisionMade",
+        day=dates.revision_made.date(),
+    )
+    if dates.released is None:
+        return [made]
+    released = _statement(
+        "Release",
+        f"Revision {said.revision} was released on this day.",
+        ref_type="calrig_release",
+        day=dates.released.date(),
+    )
+    return [made, released]
 
 
 def _conformity(said: Certificate) -> list[ET.Element]:

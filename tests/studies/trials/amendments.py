@@ -1,7 +1,8 @@
 """Kill the service at random instants of acts on stored runs, and compare the store with before and after.
 
-Each act (acceptance, withdrawal, exclusion, void, move, draft, release) is requested over HTTP. After the
-kill the store must equal a copy from before the act, or one on which the same act was carried out in full.
+Each act (acceptance, withdrawal, exclusion, void, move, draft, release, certificate) is requested over HTTP.
+After the kill the store must equal a copy from before the act, or one on which the same act was carried out
+in full.
 """
 
 from __future__ import annotations
@@ -24,9 +25,12 @@ import numpy as np
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Acceptance
+from calrig.analysis.certificates import issue_certificate
 from calrig.analysis.errors import RunsError
 from calrig.analysis.revisions import Issuer
+from calrig.laboratory import LaboratorySettings
 from calrig.store import Run, Store
+from calrig.store.certificates import IssuedCertificate
 from calrig.store.errors import NotFound, Refused
 from tests.studies.accepting import EFFECTS, FIRST_C, SECOND_C, UNIT, diagnosed_run, measured
 
@@ -40,9 +44,11 @@ AFTER_WRITE = 0.7
 WINDOW_S = 0.7
 DEADLINE_S = 30.0
 OTHER = "AS-2"
-TABLES = ("run", "calibration", "pose", "accepted_effect", "issued_calibration", "trail")
+TABLES = ("run", "calibration", "pose", "accepted_effect", "issued_calibration", "certificate", "trail")
 HASHES = {"sha256", "crc32"}
 """What differs between two executions of one act, as its times do."""
+OF_CERTIFICATES = {"number", "pdf", "dcc", "trail_seq", "trail_sha256"}
+"""What follows from times and hashes; whether it is known has a meaning."""
 
 Act = tuple[str, dict[str, Any]]
 
@@ -71,8 +77,21 @@ def _act(store: Store, run: Run, rng: random.Random) -> tuple[Callable[[], objec
     number, pose, why = rng.randint(1, 6), rng.randint(0, 51), f"trial {rng.random():.6f}"
     names = rng.choice([[name] for name, _ in EFFECTS] + [[name for name, _ in EFFECTS]])
     reason, other = {"reason": why}, OTHER if run.unit == UNIT else UNIT
+    before = next(iter(store.certificates.of(run.unit)), None)
+    certificate = {"revision": number, **({} if before is None else {"replaces": before.number, **reason})}
     with_names = {"effects": names, **reason}
+
+    def issue() -> IssuedCertificate:
+        revision = store.revisions.get(run.unit, number)
+        if revision is None:
+            raise NotFound(f"no revision {number}")
+        replaced = None if before is None else before.number
+        return issue_certificate(
+            store, revision, LaboratorySettings(), replaces=replaced, reason=replaced and why
+        )
+
     acts: list[tuple[int, Callable[[], object], str, dict[str, Any]]] = [
+        (2, issue, f"/api/units/{run.unit}/certificates", certificate),
         (4, lambda: acceptance.accept(run.id, names), f"{at}/diagnosis/accept", {"effects": names}),
         (2, lambda: acceptance.take_back(run.id, names, why), f"{at}/diagnosis/withdraw", with_names),
         (1, lambda: records.void(run.id, why), f"{at}/void", reason),
@@ -102,17 +121,21 @@ def contents(path: Path) -> dict[str, list[str]]:
     """Return what the store holds of runs and calibrations, without the times of acts and their hashes."""
     with closing(sqlite3.connect(path)) as file:
         file.row_factory = sqlite3.Row
-        return {
-            table: sorted(
-                _row_text(dict(row)) for row in file.execute(f"SELECT * FROM {table}") if not _checked(row)
-            )
+        found = {
+            table: [dict(row) for row in file.execute(f"SELECT * FROM {table} ORDER BY 1")]
             for table in TABLES
         }
+    found["trail"] = _without_check(found["trail"])
+    return {table: sorted(map(_row_text, rows)) for table, rows in found.items()}
 
 
-def _checked(row: sqlite3.Row) -> bool:
-    """Whether it is the audit log's entry that a start has found no change to complete."""
-    return "what" in row.keys() and row["what"] == "mended" and row["unit"] is None  # noqa: SIM118
+def _without_check(trail: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the entries without the one that says that a start has checked the store, numbered anew.
+
+    One of the two stores may have been started once more: the number of an act is one more there.
+    """
+    acts = [row for row in trail if not (row["what"] == "mended" and row["unit"] is None)]
+    return [row | {"seq": place} for place, row in enumerate(acts, 1)]
 
 
 def _row_text(row: dict[str, Any]) -> str:
@@ -130,7 +153,9 @@ def _without_times(value: Any) -> Any:
     if isinstance(value, dict):  # whether a time is known has a meaning
         left = {k: one for k, one in value.items() if k.strip() not in HASHES}
         return {
-            k: one is None if k == "at" or k.endswith("_at") else _without_times(one)
+            k: one is None
+            if k == "at" or k.endswith("_at") or k in OF_CERTIFICATES
+            else _without_times(one)
             for k, one in left.items()
         }
     return [_without_times(one) for one in value] if isinstance(value, list) else value
