@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from calrig.analysis.histories import change_between, difference_in_words
+from calrig.calibration.results import ReadingTurns
 from calrig.calibration.uncertainty import (
     Line,
     clamping_doubts,
@@ -108,7 +109,8 @@ def doubts_about(
         content: what its revision would say, CONTRACT section 6.
         remount_limit_deg: of its rig.
     """
-    known, own = known_calibration(store, new.unit), pose_doubts(result, new.mismatches)
+    known = known_calibration(store, new.unit)
+    own = [*pose_doubts(result, new.mismatches), *reading_doubts(content)]
     lost = _lost_doubts(store, new.unit, content)
     if known is None:
         return [*own, *clamping_doubts(result.bias_deg, None, remount_limit_deg), *lost]
@@ -137,6 +139,31 @@ def solution_doubts(store: Store, runs: Sequence[Run], content: Document) -> lis
         for doubt in pose_doubts(run.result, run.faults.get("move_mismatch", 0))
     }
     return [*own.values(), *_lost_doubts(store, content["unit"], content)]
+
+
+def reading_doubts(content: Document) -> list[Doubt]:
+    """Return whether readings of the calibrated range stand for two elevations.
+
+    Args:
+        content: CONTRACT section 6.
+    """
+    turns = ReadingTurns.of_document(content)
+    if turns.single_deg is None:
+        return []
+    first_deg, last_deg = turns.single_deg
+    apart_deg = abs(turns.turn_of_reading_deg - 360.0)
+    blank = (
+        "none is given"
+        if first_deg > last_deg
+        else f"only from {first_deg:.4g}° to {last_deg:.4g}° is one given"
+    )
+    says = (
+        f"Readings start anew after 360°, and at a scale of {turns.scale:.4g} the range of "
+        f"{turns.width_deg:.4g}° is more than that: the same reading stands for elevations {apart_deg:.3g}° "
+        f"apart (modulo 360°), and {blank}. Calibrate less than a turn, or give readings that go on "
+        "beyond 360°."
+    )
+    return [Doubt("ambiguous_readings", says.replace("-", "−"))]
 
 
 def _lost_doubts(store: Store, unit: str, content: Document) -> list[Doubt]:

@@ -16,7 +16,7 @@ import numpy as np
 from calrig.calibration.effects import effect_of
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose, of_first_mount
-from calrig.calibration.results import FittedResult
+from calrig.calibration.results import FittedResult, readings_wrap
 from calrig.calibration.separation import in_words
 from calrig.calibration.uncertainty import reference_figures, uncertainty
 from calrig.canonical_json import sha256_of
@@ -130,6 +130,7 @@ def calibration_content(
     elevations = np.array([pose.theta_deg for pose in of_first_mount(poses)], dtype=np.float64)
     line = result.line_with_effects or result.line
     worth = uncertainty(line, elevations, reference)
+    bias_deg = line.bias_deg + turns_of_readings_deg(poses, line)
     figures = result.to_dict()
     gyro = figures["gyro"]
     return {
@@ -138,7 +139,7 @@ def calibration_content(
         "rig": rig,
         "range_deg": [float(elevations.min()), float(elevations.max())],
         "model": MODEL,
-        "bias_deg": line.bias_deg + turns_of_readings_deg(poses, line),
+        "bias_deg": bias_deg,
         "scale": line.scale,
         "covariance": None if line.covariance is None else [list(row) for row in line.covariance],
         "effects": [
@@ -146,6 +147,7 @@ def calibration_content(
             for effect in accepted
             if effect.unit is not None and result.line_with_effects is not None
         ],
+        "readings_wrap": _wrap(poses, bias_deg, line.scale),
         "gyro": {"bias_dps": gyro["bias_dps"], "scale": gyro["scale"]},
         "rms_raw_deg": result.rms_raw_deg,
         "rms_calibrated_deg": result.rms_calibrated_deg,
@@ -171,6 +173,14 @@ def turns_of_readings_deg(poses: Sequence[Pose], line: Line) -> float:
     scale = 1.0 if line.scale is None else line.scale
     beyond_deg = [pose.reading_deg - line.bias_deg - scale * pose.theta_deg for pose in poses]
     return 360.0 * round(float(np.median(beyond_deg)) / 360.0)
+
+
+def _wrap(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> bool | None:
+    """Return whether the readings start anew after a turn; None where the poses do not show it."""
+    theta_deg, reading_deg = (
+        np.array([getattr(pose, name) for pose in poses]) for name in ("theta_deg", "reading_deg")
+    )
+    return readings_wrap(reading_deg, bias_deg + (1.0 if scale is None else scale) * theta_deg)
 
 
 def _by_map(

@@ -97,6 +97,7 @@ def unit_document(
             "scale": 1.0,
             "covariance": _covariance(solution, known).tolist(),
             "effects": effects_of(solution, unit),
+            "readings_wrap": None,
             "gyro": _gyro(whole),
             "rms_raw_deg": rms(_raw_deg(table)[of_unit]),
             "rms_calibrated_deg": None,

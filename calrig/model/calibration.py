@@ -81,6 +81,11 @@ class Calibration(Model):
     uncertainty: Uncertainty
     temperature_c: Extremes | None
     provenance: dict[str, Any]
+    readings_wrap: bool | None = Field(
+        default=None,
+        description="Whether readings start anew after 360°, as the poses show; null where they do not, and "
+        "in older documents.",
+    )
     warnings: list[str] = Field(
         default=[],
         description="Why the verdict was not reliable when made; absent in older documents.",

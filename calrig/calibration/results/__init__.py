@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from calrig.calibration.results.correction import (
-    AT_ITS_END_DEG,
-    HALF_TURN_DEG,
     Application,
     AppliedEffect,
     columns_followed,
@@ -15,7 +13,6 @@ from calrig.calibration.results.correction import (
     numbers_of,
     own_effect,
     reference_temperature_c,
-    spans_more_than_a_turn,
 )
 from calrig.calibration.results.pose_errors import (
     angles_deg,
@@ -26,6 +23,12 @@ from calrig.calibration.results.pose_errors import (
     poses_without_effects,
     raw_error_deg,
     residuals,
+)
+from calrig.calibration.results.reading_turns import (
+    AT_ITS_END_DEG,
+    HALF_TURN_DEG,
+    ReadingTurns,
+    readings_wrap,
 )
 from calrig.calibration.results.result import (
     UNKNOWN_GYRO,
@@ -52,6 +55,7 @@ __all__ = [
     "EffectDoubt",
     "FittedResult",
     "Promise",
+    "ReadingTurns",
     "angles_deg",
     "apply_calibration",
     "as_clamped",
@@ -70,8 +74,8 @@ __all__ = [
     "own_effect",
     "poses_without_effects",
     "raw_error_deg",
+    "readings_wrap",
     "reference_temperature_c",
     "residuals",
-    "spans_more_than_a_turn",
     "verify",
 ]

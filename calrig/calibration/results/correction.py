@@ -29,6 +29,7 @@ from calrig.calibration.regression.effect import (
     turned_vector,
 )
 from calrig.calibration.regression.spline import SplineCurve
+from calrig.calibration.results.reading_turns import ReadingTurns
 from calrig.estimation.angles import FloatArray, elevation_deg, wrap_deg
 
 AppliedEffect = tuple[str, Parameters]
@@ -136,11 +137,12 @@ def calibrated_elevation_deg(
     effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
     range_deg: tuple[float, float] = (-180.0, 180.0),
+    turns: ReadingTurns | None = None,
 ) -> FloatArray:
     """Return (n,) the θ with reading = bias + scale·θ + effects(θ), to 1e-9°.
 
-    NaN where one reading stands for many elevations. Newton's iteration from the θ without effects; those
-    that depend on the elevation are read at θ itself.
+    NaN where one reading stands for many elevations, by its effects or by its turns. Newton's iteration from
+    the θ without effects; those that depend on the elevation are read at θ itself.
 
     Args:
         reading_deg: (n,).
@@ -148,7 +150,8 @@ def calibrated_elevation_deg(
         scale: of the line; None is 1.
         effects: each with its parameters.
         given: what the effects follow.
-        range_deg: of the calibration: it decides between angles that differ by whole turns (`aim_deg`).
+        range_deg: of the calibration: it decides between angles that differ by whole turns.
+        turns: which of these is meant; by the range alone where not given.
 
     Raises:
         ApplyError: the scale is 0.
@@ -156,9 +159,9 @@ def calibrated_elevation_deg(
     factor = 1.0 if scale is None else scale
     if abs(factor) < MIN_SCALE:
         raise ApplyError(f"the scale is {factor:g}: the reading does not follow the elevation")
-    aim = aim_deg(reading_deg, bias_deg, factor, range_deg)
+    aim = (turns or ReadingTurns(bias_deg, factor, range_deg)).aim_deg(reading_deg)
     theta = aim / factor
-    stands_for_many = np.zeros(len(aim), dtype=np.bool_)
+    stands_for_many = np.isnan(aim)
 
     def added_deg(at_deg: FloatArray) -> FloatArray:
         felt_deg = felt_elevation_deg(at_deg, bias_deg, scale)
@@ -175,38 +178,6 @@ def calibrated_elevation_deg(
         if not moving.any():
             break
     return np.where(stands_for_many | moving, np.nan, theta)
-
-
-HALF_TURN_DEG, TURN_DEG = 180.0, 360.0
-AT_ITS_END_DEG = 1e-3
-"""Beyond an end of the range by no more, an elevation is at that end: a `float` rounds it as it likes."""
-
-
-def aim_deg(
-    reading_deg: FloatArray, bias_deg: float, scale: float, range_deg: tuple[float, float]
-) -> FloatArray:
-    """Return (n,) reading less bias, on the turn that is meant (CONTRACT section 6).
-
-    As it is where θ lies in the range. Else the one next to the middle of the range: of readings within half
-    a turn, which are wrapped as a sensor gives them, turns of the reading are taken off; who gives others has
-    unwrapped them, and θ is brought back by whole turns of its own. The two differ where the scale is not 1.
-    Over a range of more than a turn only unwrapped readings have a meaning, and are left as they are.
-    """
-    low_deg, high_deg = range_deg
-    aim = np.asarray(reading_deg - bias_deg, dtype=np.float64)
-    if spans_more_than_a_turn(range_deg):
-        return aim
-    theta, middle_deg = aim / scale, (low_deg + high_deg) / 2.0
-    is_inside = (theta >= low_deg - AT_ITS_END_DEG) & (theta <= high_deg + AT_ITS_END_DEG)
-    turns_of_reading = TURN_DEG * np.ceil((aim - scale * middle_deg - HALF_TURN_DEG) / TURN_DEG)
-    turns_of_theta = scale * TURN_DEG * np.ceil((theta - middle_deg - HALF_TURN_DEG) / TURN_DEG)
-    is_wrapped = np.abs(reading_deg) <= HALF_TURN_DEG
-    return aim - np.where(is_inside, 0.0, np.where(is_wrapped, turns_of_reading, turns_of_theta))
-
-
-def spans_more_than_a_turn(range_deg: tuple[float, float]) -> bool:
-    """Return whether angles that differ by a whole turn may both lie within a range."""
-    return range_deg[1] - range_deg[0] > TURN_DEG + 2.0 * AT_ITS_END_DEG
 
 
 WITHIN_STDS, WITHIN_SHARE = 2.0, 0.01
@@ -265,6 +236,7 @@ class Application:
         accelerometer: bias (3,) in g and matrix (3, 3), true = matrix·(raw − bias), where elevations follow
             from it alone; None where bias, scale and effects are what there is to apply.
         range_deg: of elevation.
+        turns: which of the angles that differ by whole turns is meant.
         temperature_c: lowest and highest of the calibration; None where not known.
         type_a_deg: standard uncertainty of an elevation from one reading, its mean over the range; NaN where
             not known, and so below.
@@ -280,6 +252,7 @@ class Application:
     effects: Sequence[AppliedEffect]
     accelerometer: tuple[FloatArray, FloatArray] | None
     range_deg: tuple[float, float]
+    turns: ReadingTurns
     temperature_c: tuple[float, float] | None
     type_a_deg: float
     type_b_deg: float
@@ -317,6 +290,7 @@ class Application:
             effects=effects,
             accelerometer=_accelerometer(document, effects),
             range_deg=(float(document["range_deg"][0]), float(document["range_deg"][1])),
+            turns=ReadingTurns.of_document(document),
             temperature_c=None if None in ends else (float(ends[0]), float(ends[1])),  # type: ignore[arg-type]
             type_a_deg=_number(worth.get("type_a_deg")),
             type_b_deg=_number(worth.get("type_b_deg")),
@@ -355,7 +329,7 @@ class Application:
         """
         given = Circumstances(**{**(others or {}), TEMPERATURE.name: temperature_c})
         return calibrated_elevation_deg(
-            reading_deg, self.bias_deg, self.scale, self.effects, given, self.range_deg
+            reading_deg, self.bias_deg, self.scale, self.effects, given, turns=self.turns
         )
 
     def std_deg(self, elevation_deg: FloatArray) -> FloatArray:

@@ -28,11 +28,11 @@ from calrig.calibration.results import (
     AT_ITS_END_DEG,
     HALF_TURN_DEG,
     Application,
+    ReadingTurns,
     columns_followed,
     effects_at_rest,
     effects_on_reading_deg,
     felt_elevation_deg,
-    spans_more_than_a_turn,
 )
 from calrig.estimation.angles import FloatArray
 from calrig.export.formats import CalibrationExporter
@@ -118,7 +118,13 @@ def test_vectors(document: Mapping[str, Any]) -> list[str]:
 def _elevations(document: Mapping[str, Any]) -> FloatArray:
     """(n, 3) readings over the range at two temperatures, and their elevations."""
     application = Application.of_document(document)
-    low, high = application.range_deg
+    low, high = application.turns.single_deg or application.range_deg
+    if low > high:
+        raise ApplyError(
+            "the readings start anew after a turn, and over this range each stands for several elevations"
+        )
+    if application.turns.wrap:
+        low, high = low + AT_ITS_END_DEG, high - AT_ITS_END_DEG  # where a `float` is on the same turn
     ends = application.temperature_c or (20.0, 30.0)
     readings = application.bias_deg + application.scale * np.linspace(low, high, N_ELEVATIONS)
     reading, celsius = (grid.ravel() for grid in np.meshgrid(readings, ends))
@@ -178,7 +184,7 @@ def c_header(document: Mapping[str, Any]) -> str:
     ]
     if not terms:
         body.append("    (void)temperature_c;")
-    body += _on_its_turn(scale, Application.of_document(document).range_deg)
+    body += _on_its_turn(Application.of_document(document).turns)
     if terms:
         body += _newton(rounds)
     body.append("    return theta;")
@@ -204,24 +210,38 @@ def c_header(document: Mapping[str, Any]) -> str:
     )
 
 
-def _on_its_turn(scale: float, range_deg: tuple[float, float]) -> list[str]:
-    """The statements of `aim_deg`."""
-    if spans_more_than_a_turn(range_deg):
+def _on_its_turn(turns: ReadingTurns) -> list[str]:
+    """The statements of `ReadingTurns.aim_deg`."""
+    if turns.is_left_alone:
         return []
-    low_deg, high_deg = range_deg
-    middle_deg = (low_deg + high_deg) / 2.0
+    scale, (low_deg, high_deg) = turns.scale, turns.range_deg
     low, high = c_literal(low_deg - AT_ITS_END_DEG), c_literal(high_deg + AT_ITS_END_DEG)
-    theta_end = c_literal(middle_deg + HALF_TURN_DEG)
-    aim_end = c_literal(scale * middle_deg + HALF_TURN_DEG)
-    return [
-        f"    if (theta < {low} || theta > {high}) {{",
-        "        if (fabsf(reading_deg) <= 180.0f)",
-        f"            aim -= 360.0f * ceilf((aim - {aim_end}) / 360.0f);",
-        "        else",
-        f"            aim -= scale * 360.0f * ceilf((theta - {theta_end}) / 360.0f);",
-        "        theta = aim / scale;",
-        "    }",
-    ]
+    theta_end = c_literal(turns.middle_deg + HALF_TURN_DEG)
+    aim_end = c_literal(scale * turns.middle_deg + HALF_TURN_DEG)
+    by_reading = f"360.0f * ceilf((aim - {aim_end}) / 360.0f)"
+    by_theta = f"scale * 360.0f * ceilf((theta - {theta_end}) / 360.0f)"
+    if turns.wrap is True:
+        lines = [f"    aim -= {by_reading};", "    theta = aim / scale;"]
+        if turns.single_deg is not None:
+            first, last = map(c_literal, turns.single_deg)
+            lines += [
+                f"    if (theta < {first} || theta > {last})",
+                "        return NAN; /* a turn of the reading away is another elevation of the range */",
+            ]
+        return lines
+    lines = [f"    if (theta < {low} || theta > {high}) {{"]
+    if turns.wrap is False:
+        lines.append(f"        aim -= {by_theta};")
+    else:
+        lines.append(f"        const float wrapped = aim - {by_reading};")
+        condition = "fabsf(reading_deg) <= 180.0f"
+        if not turns.covers_a_turn:
+            condition += f" || (wrapped / scale >= {low} && wrapped / scale <= {high})"
+        lines += [
+            f"        aim = {condition} ? wrapped",
+            f"            : aim - {by_theta};",
+        ]
+    return [*lines, "        theta = aim / scale;", "    }"]
 
 
 def _term(name: str, parameters: Parameters) -> str | VectorInC:

@@ -29,6 +29,7 @@ MOST_ROWS = 100_000
 BETWEEN = np.linspace(0.0, 1.0, 9)[1:-1]
 """Places between two rows at which the interpolation is compared with the calibration."""
 NOT_KNOWN = ""
+ENDLESS_DEG = (-math.inf, math.inf)
 PLACES = 721
 """Of the range, at which the readings are found that it spans."""
 
@@ -115,7 +116,7 @@ def _rows(application: Application, celsius: float | None, step_deg: float) -> F
 def _unwrapped_deg(application: Application, reading_deg: FloatArray, celsius: float | None) -> FloatArray:
     """Return (n,) elevations of readings that go on beyond a turn; ApplyError where a reading has several."""
     temperature_c = None if celsius is None else np.full(len(reading_deg), celsius)
-    endless = replace(application, range_deg=(-math.inf, math.inf))
+    endless = replace(application, turns=replace(application.turns, range_deg=ENDLESS_DEG, wrap=None))
     elevation_deg = endless.elevation_deg(reading_deg, temperature_c)
     if np.isnan(elevation_deg).any():
         first_deg = reading_deg[np.isnan(elevation_deg)][0]
