@@ -81,7 +81,7 @@ def test_an_effect_explains_the_share_of_the_residual_that_it_was_given():
 
 
 def test_shares_of_correlated_effects_and_of_the_final_residual_add_up_to_one():
-    poses = measured(lambda a, temperature_c, _: -0.06 * a + 0.02 * (temperature_c - 30) + 0.01 * a**2)
+    poses = measured(lambda a, temperature_c, _: -0.06 * a + 0.02 * (temperature_c - 30))
     diagnosed = diagnose([poses], cross_fit=False)
     found = document(diagnosed, ["1"])
     r = diagnosed.findings.responses
