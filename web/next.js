@@ -27,7 +27,7 @@ export class NextStep {
   show(run) {
     const step = stepOf(run);
     const effects = run.diagnosis?.effects.map(({ name, accepted_at: at }) => [name, at]);
-    const key = JSON.stringify([step, run.unit, run.result?.n_poses, run.verdict.reliable, effects]);
+    const key = JSON.stringify([step, run.unit, run.result?.n_poses, run.verdict?.reliable, effects]);
     this.run = run;
     if (key === this.key) return;
     this.key = key;

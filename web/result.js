@@ -24,12 +24,28 @@ export function noResultAbout(axis) {
   ];
 }
 
+/** What is seen first of a run that ended without a result. */
+export function noResult({ status }) {
+  const how = status === "failed" ? "failed" : "was aborted";
+  return answer("NO RESULT", "unknown", `The run ${how}: it made no calibration.`);
+}
+
+function answer(word, colour, sentence) {
+  return h(
+    "div",
+    { class: `verdict answer ${colour}`, "data-testid": "answer" },
+    h("h2", { class: "word" }, word),
+    h("p", {}, sentence),
+  );
+}
+
 /** Whether a run's result is good: one word, one colour, one sentence. */
-function judged({ status, voided, verdict: { answer, left, reliable, says } }) {
+function judged({ status, voided, verdict }) {
   if (voided) return ["VOIDED", "unknown", `Not to be used: ${voided.reason}`];
   if (status !== "completed") return ["NOT FINISHED", "unknown", "Figures of the poses so far."];
-  const isDoubtful = reliable === false && answer !== "fail";
-  const by = isDoubtful ? "more_than_noise" : answer === "no_limits" ? (left ?? "undecided") : answer;
+  const { answer: ofLimits, left, reliable, says } = verdict;
+  const isDoubtful = reliable === false && ofLimits !== "fail";
+  const by = isDoubtful ? "more_than_noise" : ofLimits === "no_limits" ? (left ?? "undecided") : ofLimits;
   const [word, colour] = ANSWERS[by];
   return [word, colour, sentenceAfter(word, says[0])];
 }
@@ -44,18 +60,7 @@ function sentenceAfter(word, says) {
 
 /** What is seen first of a run that has a result: whether it is good, and the calibration. */
 export function answerOf(run) {
-  const [word, colour, sentence] = judged(run);
-  return h(
-    "div",
-    { class: "first-sight" },
-    h(
-      "div",
-      { class: `verdict answer ${colour}`, "data-testid": "answer" },
-      h("h2", { class: "word" }, word),
-      h("p", {}, sentence),
-    ),
-    figureList(headlineFigures(run), { id: "headline" }),
-  );
+  return h("div", { class: "first-sight" }, answer(...judged(run)), figureList(headlineFigures(run), { id: "headline" }));
 }
 
 function headlineFigures({ result, plan, provenance }) {

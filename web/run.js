@@ -13,7 +13,7 @@ import { may } from "./me.js";
 import { NextStep } from "./next.js";
 import { PoseTable } from "./poses.js";
 import { provenanceLists } from "./provenance.js";
-import { answerOf, noResultAbout, resultDetails } from "./result.js";
+import { answerOf, noResult, noResultAbout, resultDetails } from "./result.js";
 import { downloads, faultLine, faultSummary, heading } from "./runhead.js";
 import { placeField } from "./stageplace.js";
 import { preferRig } from "./stop.js";
@@ -185,11 +185,12 @@ class RunPage {
     this.#wait(this.ended ? null : run.progress.waiting_for);
     const axis = run.plan?.mount_axis ?? run.provenance?.mount_axis ?? "x";
     const forSolve = !run.result && run.status === "completed" && axis !== "x";
-    this.result.hidden = !run.result && run.status !== "completed";
+    const isWithout = !run.result && ["failed", "aborted"].includes(run.status);
+    this.result.hidden = !run.result && !isWithout && run.status !== "completed";
     this.resultFold.element.hidden = !run.result;
     this.plainField.hidden = !isKnown(run.result?.rms_with_effects_deg);
     if (this.plainField.hidden) this.plain.checked = false;
-    fill(this.answer, run.result ? answerOf(run) : forSolve && noResultAbout(axis));
+    fill(this.answer, run.result ? answerOf(run) : isWithout ? noResult(run) : forSolve && noResultAbout(axis));
     fill(this.figures, run.result && resultDetails(run));
     this.resultFold.say(run.result && figuresLine(run.result));
     if (this.ended) {
