@@ -1,8 +1,9 @@
-// The diagnosis of a run's residual: the button, the effects found, and their remedies.
+// The diagnosis of a run's residual: a line for each effect found, and folded below them how well they explain it.
 
 import { get, serviceError } from "./api.js";
 import { Chart } from "./charts.js";
-import { errorLine, figureList, fill, h, held, paragraphs, runName, warningBox } from "./dom.js";
+import { errorLine, figureList, fill, h, held, keepingFocus, paragraphs, runName, warningBox } from "./dom.js";
+import { Fold } from "./fold.js";
 import { plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 import { Together } from "./together.js";
@@ -12,7 +13,10 @@ const SEARCH = {
   share: "the searches are done",
 };
 
-/** Below a run's result. `show(run)` whenever the run has changed; `reread()` is called when it has here. */
+/**
+ * Below a run's result. `show(run)` whenever the run has changed; `reread()` is called when it has here. The button is
+ * in its head, or where `lend()` puts it while it is the next step.
+ */
 export class DiagnosisPanel {
   constructor(path, signal, reread) {
     this.path = path;
@@ -24,15 +28,16 @@ export class DiagnosisPanel {
     this.together = new Together(signal);
     this.error = errorLine("diagnosis-error");
     this.found = h("div", { id: "diagnosis-found" });
+    this.head = h("div", { class: "diagnosis-head" }, h("h2", { id: "diagnosis-title" }, "Diagnosis"), this.button);
     this.element = h(
       "section",
       { class: "card diagnosis", id: "diagnosis", "aria-labelledby": "diagnosis-title", hidden: true },
-      h("div", { class: "diagnosis-head" }, h("h2", { id: "diagnosis-title" }, "Diagnosis"), this.button),
+      this.head,
       this.state,
       this.work.element,
-      this.together.element,
       this.error.element,
       this.found,
+      this.together.element,
     );
   }
 
@@ -50,11 +55,16 @@ export class DiagnosisPanel {
 
   #ready() {
     this.button.textContent = this.run.diagnosis ? "Diagnose again" : "Diagnose";
-    this.button.classList.toggle("primary", !this.run.diagnosis);
-    this.state.textContent = this.run.diagnosis
-      ? outdated(this.run)
-      : "Searches a catalogue of physical effects for causes of the residual. Reports the RMS error before and after " +
-        "on held-out poses (cross-validation). Takes a few seconds.";
+    this.state.textContent = isOutdated(this.run)
+      ? `Outdated: this diagnosis used ${this.run.diagnosis.n_poses} poses, ${this.run.result.n_poses} are included ` +
+        "now. Diagnose again."
+      : "";
+  }
+
+  /** The button, for another place; without one it returns to the head. */
+  lend(place = this.head) {
+    this.button.classList.toggle("primary", place !== this.head);
+    if (this.button.parentElement !== place) keepingFocus(document.body, () => place.append(this.button));
   }
 
   get #address() {
@@ -72,7 +82,7 @@ export class DiagnosisPanel {
     this.state.textContent = "";
     let says = "";
     try {
-      if (await carryOut()) await this.reread(); // its verdict has changed with it
+      if (await carryOut()) await this.reread(true); // its verdict has changed with it
       else says = CANCELLED;
     } catch (error) {
       this.error.say(serviceError(error));
@@ -88,7 +98,7 @@ export class DiagnosisPanel {
     const shown = this.shown;
     const asked = new URLSearchParams({ follows: this.run.id });
     const following = async () => (await get(`/api/runs?${asked}`, this.signal)).items;
-    const [followers, { effectCard }, { followUpBox, followedBy, isAnswered }] = await Promise.all([
+    const [followers, { effectCard }, { decidedEffect, followUpBox, followedBy, isAnswered }] = await Promise.all([
       following(),
       import("./effect.js"), // these with the first diagnosis that is shown
       import("./followup.js"),
@@ -98,28 +108,43 @@ export class DiagnosisPanel {
     this.drawn?.abort();
     this.drawn = new AbortController();
     const signal = AbortSignal.any([this.signal, this.drawn.signal]);
-    const bars = new Chart("before-after", "RMS error on held-out poses", { low: true, signal });
-    const effects = diagnosis.effects.map((effect, k) => effectCard(effect, k, this, signal));
+    const decided = isAnswered(followers) ? null : decidedEffect(diagnosis);
+    const effects = diagnosis.effects.map((effect, k) =>
+      effectCard(effect, k, this, effect === decided && followUpBox(diagnosis, this.path, following, signal), signal),
+    );
+    const folds = () => [...this.found.querySelectorAll(".effect > details, .fold")];
+    const wereOpen = folds().map(({ open }) => open);
     fill(
       this.found,
-      h("div", { class: "columns outcome" }, summary(diagnosis), bars.element),
+      !effects.length && h("p", { "data-testid": "nothing-found" }, `${diagnosis.says?.[0] ?? NOT_JUDGED}.`),
+      effects,
       followedBy(followers),
-      diagnosis.verdict === "ambiguous" &&
-        !isAnswered(followers) &&
-        followUpBox(diagnosis, this.path, following, signal),
-      effects.map(({ element }) => element),
+      this.#details(diagnosis, signal),
+    );
+    const now = folds();
+    if (now.length === wereOpen.length) now.forEach((fold, k) => (fold.open = wereOpen[k]));
+  }
+
+  #details(diagnosis, signal) {
+    const bars = new Chart("before-after", "RMS error on held-out poses", { low: true, signal });
+    const fold = new Fold(
+      "diagnosis",
+      "Details of the diagnosis",
+      h("div", { class: "columns outcome" }, summary(diagnosis), bars.element),
       warningBox(diagnosis.warnings, "diagnosis-warnings"),
       this.run.rig && commonError(this.run.rig, signal),
     );
-    bars.load(`${this.path}/figures/diagnosis`);
-    effects.forEach(({ chart }, k) => chart.load(`${this.path}/figures/effect-${k}`));
+    const [before, after] = [diagnosis.base, diagnosis.final].map((one) => significant(one.held_out_rms_deg, 3, "°"));
+    const warnings = diagnosis.warnings.length > 0 && `, ${plural(diagnosis.warnings.length, "warning")}`;
+    fold.say(`held-out RMS error ${before} before, ${after} with effects`, warnings);
+    fold.onOpen(() => bars.load(`${this.path}/figures/diagnosis`), signal);
+    return fold.element;
   }
 }
 
-function outdated({ diagnosis, result }) {
-  return diagnosis.runs.length === 1 && diagnosis.n_poses > result.n_poses
-    ? `Outdated: this diagnosis used ${diagnosis.n_poses} poses, ${result.n_poses} are included now. Diagnose again.`
-    : "";
+/** Whether poses were excluded since. */
+export function isOutdated({ diagnosis, result }) {
+  return Boolean(diagnosis) && diagnosis.runs.length === 1 && diagnosis.n_poses > result.n_poses;
 }
 
 const NOT_JUDGED = "Diagnosed by an earlier version of calrig: diagnose again for a verdict";

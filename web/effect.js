@@ -1,4 +1,4 @@
-// One effect of a diagnosis: parameters, evidence, chart, and its acceptance.
+// One effect of a diagnosis: a line, and folded below it parameters, evidence, chart and acceptance.
 
 import { post } from "./api.js";
 import { askConfirmation, askReason } from "./ask.js";
@@ -9,40 +9,64 @@ import {
   covariateWords,
   effectTitle,
   evidenceWords,
+  explainedWords,
   formulaOf,
   originWords,
   parameterRows,
   scopeOf,
+  sizeOf,
 } from "./effects.js";
+import { onOpen } from "./fold.js";
 import { moment, significant } from "./format.js";
 import { may } from "./me.js";
 
-/** Its element, and the chart in it that is loaded once the element is on the page. */
-export function effectCard(effect, k, { path, run }, signal) {
+/** Its element; the chart is loaded when it is unfolded. `decides` is what finds out which candidate it is, if any. */
+export function effectCard(effect, k, { path, run }, decides, signal) {
   const chart = new Chart(
     `effect-${k}`,
     `Partial residual against ${covariateWords(effect.covariate)}, and the fitted effect`,
     { low: true, signal },
   );
   const title = effectTitle(effect);
-  const element = h(
-    "article",
-    { class: "effect", "data-effect": effect.name, "aria-label": title },
+  const word = effect.accepted_at ? "accepted" : effect.verdict;
+  const folded = h(
+    "details",
+    {},
+    h(
+      "summary",
+      {},
+      h("h3", {}, title),
+      h("span", { class: "size" }, sizeOf(effect)),
+      h("span", { class: "muted" }, ownerWords(effect, run)),
+      h("span", { class: "muted share" }, explainedWords(effect)),
+      h("span", { class: `pill ${word}` }, word),
+    ),
     h(
       "div",
-      {},
-      h("h3", {}, title, h("span", { class: `pill ${effect.verdict}` }, effect.verdict)),
-      change(effect),
-      figures(effect),
-      suspects(effect),
-      bullets(effect.evidence.map(evidenceWords), { class: "evidence" }),
-      h("p", {}, h("strong", {}, "Remedy: "), `${effect.remedy}.`),
-      considered(effect),
-      (effect.corrects || effect.verdict === "named") && !effect.changed && acceptance(effect, title, path, run),
+      { class: "effect-details" },
+      h(
+        "div",
+        {},
+        change(effect),
+        figures(effect),
+        bullets(effect.evidence.map(evidenceWords), { class: "evidence" }),
+        h("p", {}, h("strong", {}, "Remedy: "), `${effect.remedy}.`),
+        considered(effect),
+        (effect.corrects || effect.verdict === "named") && !effect.changed && acceptance(effect, title, path, run),
+      ),
+      chart.element,
     ),
-    chart.element,
   );
-  return { element, chart };
+  onOpen(folded, () => chart.load(`${path}/figures/effect-${k}`), signal);
+  const props = { class: "effect", "data-effect": effect.name, "aria-label": title };
+  return h("article", props, folded, suspects(effect), decides);
+}
+
+/** Whose error it is. */
+function ownerWords(effect, run) {
+  if (effect.changed) return "between runs";
+  if (effect.verdict !== "named" && !effect.corrects) return effect.verdict === "ambiguous" ? "not decided" : "not known";
+  return { unit: `unit ${run.unit}`, rig: `rig ${run.rig ?? "not known"}`, run: "this run" }[scopeOf(effect)];
 }
 
 function figures(effect) {
@@ -70,8 +94,8 @@ function pValue({ p_value: p, least_p_value: least }) {
 
 function suspects({ verdict, name, confusable_with: others }) {
   if (verdict !== "ambiguous" || !others.length) return null;
-  const listed = [name, ...others].map(candidateWords).join(", ");
-  return h("p", { class: "suspects" }, h("strong", {}, "Indistinguishable by these poses: "), listed, ".");
+  const listed = [name, ...others].map(candidateWords).join(" or ");
+  return h("p", { class: "suspects" }, "May be ", listed, ".");
 }
 
 function considered(effect) {
@@ -98,18 +122,20 @@ function considered(effect) {
  */
 function acceptance(effect, title, path, run) {
   const ofRig = scopeOf(effect) === "rig";
-  const keeper = ofRig ? `the error map of rig ${run.rig}` : `the calibration of unit ${run.unit}`;
+  const stored = ofRig
+    ? `Stored as an error of rig ${run.rig}; not exported with the unit.`
+    : `Stored with the calibration of unit ${run.unit}; exported with it.`;
   const offer = (id, text, click) => {
     const label = `${text.slice(0, -1)}: ${title}`;
     return may("releaser") && h("button", { type: "button", id, "aria-label": label, on: { click } }, text);
   };
   if (effect.accepted_at) {
-    const words = ["Accepted ", moment(effect.accepted_at), `: it belongs to ${keeper}.`];
+    const words = ["Accepted ", moment(effect.accepted_at), `. ${stored}`];
     const back = () =>
       askReason(
         {
           title: `Revoke the acceptance of “${title}”?`,
-          text: `The effect no longer belongs to ${keeper}; an earlier acceptance applies again.`,
+          text: "The effect is no longer in force; an earlier acceptance applies again.",
           action: "Revoke",
         },
         (reason) => post(`${path}/diagnosis/withdraw`, { effects: [effect.name], reason }),
@@ -121,16 +147,7 @@ function acceptance(effect, title, path, run) {
       offer(`take-back-${effect.name}`, "Revoke…", back),
     );
   }
-  const accept = () =>
-    askConfirmation(
-      {
-        title: `Accept “${title}”?`,
-        text:
-          `The effect will belong to ${keeper}` +
-          (ofRig ? ". A rig's error is never applied in flight." : ", which is exported and applied in flight."),
-        action: "Accept",
-      },
-      () => post(`${path}/diagnosis/accept`, { effects: [effect.name] }),
-    );
+  const question = { title: `Accept “${title}”?`, text: stored, action: "Accept" };
+  const accept = () => askConfirmation(question, () => post(`${path}/diagnosis/accept`, { effects: [effect.name] }));
   return h("div", { class: "buttons" }, offer(`accept-${effect.name}`, "Accept…", accept));
 }

@@ -1,7 +1,7 @@
 // Titles, units and formulas of effects, from the service's catalogue (`GET /api/effects`).
 
 import { getOnce } from "./api.js";
-import { plusMinus, significant } from "./format.js";
+import { fixed, isKnown, plusMinus, significant } from "./format.js";
 
 let catalogue = new Map();
 
@@ -44,15 +44,51 @@ export function scopeOf({ name, corrects }) {
 }
 
 /** [name, value ± standard error with unit] of each parameter that is known and not said in the evidence. */
-export function parameterRows({ name, parameters, covariate }) {
-  const known = new Map((catalogue.get(name)?.parameters ?? []).map((one) => [one.name, one]));
+export function parameterRows(effect) {
+  return known(effect).map((one) => [one.title, shown(one)]);
+}
+
+/** Parameters that say where an effect is, and not how large. */
+const PLACES = /^(phase|period|reference|at|lag|began|middle|knot)(_|$)/;
+
+/** The size of an effect in one text: of several in one unit, such as those of two axes, the most certain one. */
+export function sizeOf(effect) {
+  const sizes = known(effect).filter(({ name }) => !PLACES.test(name));
+  const alike = sizes.filter(({ unit }) => unit === sizes[0].unit);
+  const certainty = ({ value, std }) => (std ? Math.abs(value) / std : 0);
+  alike.sort((one, other) => certainty(other) - certainty(one));
+  return alike.length ? shown(alike[0]) : "";
+}
+
+/**
+ * The share of the residual that an effect explains, which is negative where other effects outweigh it; null in
+ * diagnoses that were stored before it was computed.
+ */
+export function explainedWords({ explained }) {
+  if (!isKnown(explained)) return null;
+  if (explained < 0) return "masked by other effects";
+  const share = explained < 0.01 ? "< 1" : fixed(100 * explained, 0);
+  return `${share}\u00a0% of the residual`;
+}
+
+/** Whether some candidate for an effect follows the temperature. */
+export function followsTemperature({ name, covariate, confusable_with: others }) {
+  const follows = (one) => catalogue.get(one)?.covariate === "temperature_c";
+  return covariate === "temperature_c" || [name, ...others].some(follows);
+}
+
+function known({ name, parameters, covariate }) {
+  const titles = new Map((catalogue.get(name)?.parameters ?? []).map((one) => [one.name, one]));
   return Object.entries(parameters)
-    .filter(([key, found]) => found !== null && !known.get(key)?.flag)
-    .map(([key, { value, std }]) => {
-      const { title, unit } = known.get(key) ?? { title: words(key), unit: "" };
-      const shown = unit ?? following(covariate)?.covariate_unit ?? "";
-      return [title, std === null ? significant(value, 4, shown) : plusMinus(value, std, shown)];
+    .filter(([key, found]) => found !== null && !titles.get(key)?.flag)
+    .map(([key, found]) => {
+      const { title, unit } = titles.get(key) ?? { title: words(key), unit: "" };
+      return { ...found, name: key, title, unit: unit ?? following(covariate)?.covariate_unit ?? "" };
     });
+}
+
+function shown({ value, std, unit }) {
+  return std === null ? significant(value, 4, unit) : plusMinus(value, std, unit);
 }
 
 /** An evidence sentence as a sentence. */
@@ -66,5 +102,5 @@ function following(covariate) {
 }
 
 function words(name) {
-  return name.replaceAll("_", " ");
+  return name === "unnamed" ? "an unknown effect" : name.replaceAll("_", " ");
 }

@@ -3,7 +3,7 @@
 import { serviceError } from "./api.js";
 import { errorLine, h, held, runHref, runLink } from "./dom.js";
 import { candidateWords } from "./effects.js";
-import { duration, plural, significant } from "./format.js";
+import { duration, fixed, plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 
 const DESIGN = {
@@ -37,23 +37,22 @@ export function isAnswered(runs) {
   return runs.some(({ status, voided }) => !voided && (status === "completed" || UNDER_WAY.has(status)));
 }
 
-/** What a follow-up run is expected to show, and its button; `followers()` are the follow-up runs so far. */
+/** Which effect of a diagnosis a follow-up run decides: the first ambiguous one that was not a change between runs. */
+export function decidedEffect({ effects }) {
+  return effects.find(({ verdict, changed }) => verdict === "ambiguous" && !changed);
+}
+
+/** What a follow-up run does and is expected to show, and its button; `followers()` are the follow-up runs so far. */
 export function followUpBox({ follow_up: planned }, path, followers, signal) {
-  if (!planned) {
-    return h(
-      "div",
-      { class: "follow-up", id: "no-follow-up" },
-      h("h3", {}, "No run on this rig would distinguish them"),
-      h("p", {}, "See “Remedy” of each effect below."),
-    );
-  }
+  if (!planned)
+    return h("p", { class: "follow-up", id: "no-follow-up" }, "No run on this rig would distinguish them: see the remedy.");
   const address = `${path}/follow-up`;
   const error = errorLine("follow-up-error");
   const state = h("p", { id: "follow-up-told", class: "muted", role: "status", "aria-live": "polite" });
   const work = new LongWork("follow-up", DESIGN, signal);
   const button = h(
     "button",
-    { id: "follow-up", type: "button", class: "primary", on: { click: () => begun(() => work.carryOut(address, {})) } },
+    { id: "follow-up", type: "button", on: { click: () => begun(() => work.carryOut(address, {})) } },
     "Start the follow-up run",
   );
   const begun = async (carryOut) => {
@@ -77,24 +76,25 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
   return h(
     "div",
     { class: "follow-up" },
-    h("h3", {}, `A follow-up run would distinguish ${planned.separates.map(candidateWords).join(" from ")}`),
-    h("p", {}, expectation(planned)),
-    error.element,
-    h("div", { class: "buttons" }, button, state),
-    work.element,
+    h("div", {}, h("p", {}, motion(planned)), h("p", { class: "muted" }, expectation(planned)), error.element, state, work.element),
+    button,
   );
 }
 
+/** What the stage will do: said before it does. */
+function motion({ separates, plan }) {
+  const ends = [Math.min(...plan.elevations_deg), Math.max(...plan.elevations_deg)].map((end) => fixed(end, 1, "°"));
+  const poses = plural(plan.elevations_deg.length * plan.sweeps, "pose");
+  const waits = plan.wait_s > 0 ? `, with a wait of ${duration(plan.wait_s)} before each of ${plan.sweeps} sweeps` : "";
+  const names = separates.map(candidateWords).join(" from ");
+  return `A follow-up run distinguishes ${names}. It moves the stage from ${ends.join(" to ")}: ${poses}${waits}.`;
+}
+
 function expectation({ separation_sigma: sigma, separation, deciding_poses: deciding, plan }) {
-  const sweep = plan.elevations_deg.length;
-  const poses = plural(sweep * plan.sweeps, "pose");
-  const waits =
-    plan.wait_s > 0 ? `, waiting ${duration(plan.wait_s)} before each of ${plan.sweeps} sweeps` : "";
-  const confirming = (sweep - deciding) * plan.sweeps;
-  const rest = confirming > 0 ? `${confirming} of them are held out to confirm the decision. ` : "";
+  const confirming = (plan.elevations_deg.length - deciding) * plan.sweeps;
+  const rest = confirming > 0 ? ` ${plural(confirming, "pose")} of them confirm the decision.` : "";
   return (
-    `${poses}${waits}, designed for an expected separation of ${significant(sigma, 2)} standard ` +
-    `deviations (${significant(separation, 3)} in −2 log likelihood). ${rest}` +
-    "The test is sequential: it ends as soon as one candidate is selected."
+    `Expected separation: ${significant(sigma, 2)} standard deviations (${significant(separation, 3)} in −2 log ` +
+    `likelihood).${rest} It ends as soon as one candidate is selected.`
   );
 }

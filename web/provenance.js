@@ -1,22 +1,20 @@
-// A run's plan and provenance as folded lists of names and values.
+// A run's plan and provenance as lists of names and values.
 
 import { h } from "./dom.js";
 
-export function provenanceDetails(run) {
-  return h(
-    "section",
-    { class: "card" },
-    details("Plan", run.plan ?? {}, "plan-details"),
-    details("Provenance", run.provenance, "provenance"),
-  );
+export function provenanceLists(run) {
+  return [
+    list("Plan", run.plan ?? {}, "plan-details"),
+    list("Provenance", run.provenance, "provenance"),
+  ];
 }
 
-function details(title, document, testid) {
+function list(title, document, testid) {
   const rows = flatten(document);
   const body = rows.length
     ? h("dl", { class: "pairs" }, rows.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]))
     : h("p", { class: "muted" }, "Nothing recorded.");
-  return h("details", { "data-testid": testid }, h("summary", {}, title), body);
+  return h("div", { "data-testid": testid }, h("h3", {}, title), body);
 }
 
 /** Nested names joined by dots; a list of plain values on one line. */

@@ -7,13 +7,12 @@ import { moment, plural } from "./format.js";
 import { may } from "./me.js";
 import { Bell } from "./queuebell.js";
 import { keepForNext, listForm } from "./queueform.js";
-import { asRead, readerTypesInto } from "./queuekeys.js";
+import { SCANNER_MS, asRead, readerTypesInto } from "./queuekeys.js";
 import { RigCard, TOO_SOON } from "./queuerig.js";
 
 const LOOK_MS = 500;
 const HIDDEN_LOOK_MS = 2000;
 const BOARDS_MS = 2000; // interval of the presence checks of idle rigs
-const SCANNER_MS = 400; // an Enter so soon after a serial number is the line feed of the scanner
 const TOUCH = matchMedia("(pointer: coarse)"); // there the focus opens a keyboard over the instruction
 
 /** The newest open batch of today, the one that the address names, or the form of a new one (`#/queue/new`). */

@@ -3,8 +3,8 @@
 import { h, fill, runLink } from "./dom.js";
 import { duration, fixed } from "./format.js";
 import { may } from "./me.js";
+import { CALM_MS } from "./queuekeys.js";
 
-const CALM_MS = 700; // an Enter that was meant for the previous instruction starts nothing
 export const TOO_SOON = "Enter ignored: the instruction had just changed. Read it, then press Enter again.";
 const SHAPES = { pass: "✓", fail: "✗", done: "●", stopped: "–" };
 const SIGHTS = { there: "✓", wrong: "✗", askew: "✗", absent: "–", moving: "…", looking: "…" };

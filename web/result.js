@@ -1,18 +1,18 @@
-// A run's result: figures with standard errors, and the verdict.
+// A run's result: whether it is good, the calibration, then all figures with standard errors and the whole verdict.
 
 import { figureList, h, paragraphs, unitHref } from "./dom.js";
 import { NOT_KNOWN, fixed, isKnown, plusMinus, range, significant } from "./format.js";
 import { headline, verifiedRms } from "./headline.js";
 
-// By the answer to the limits; without limits by the residual.
-const COLOURS = {
-  pass: "good",
-  conditional_pass: "fair",
-  conditional_fail: "fair",
-  fail: "poor",
-  undecided: "unknown",
-  noise: "good",
-  more_than_noise: "poor",
+// By the answer to the limits; without limits by the residual. The word that answers, and its colour.
+const ANSWERS = {
+  pass: ["PASS", "good"],
+  conditional_pass: ["CONDITIONAL", "fair"],
+  conditional_fail: ["CONDITIONAL", "fair"],
+  fail: ["FAIL", "poor"],
+  undecided: ["UNDECIDED", "unknown"],
+  noise: ["GOOD", "good"],
+  more_than_noise: ["NOT GOOD", "poor"],
 };
 
 /** The card's content for a unit that was not clamped with its x axis along the stage axis. */
@@ -24,29 +24,75 @@ export function noResultAbout(axis) {
   ];
 }
 
-/** The card's content for a run that has a result. */
-export function resultCard(run) {
-  const counts = run.status === "completed" && !run.voided;
-  const { answer, left, reliable } = run.verdict;
-  const judged = reliable === false ? "fail" : answer === "no_limits" ? left : answer;
-  const colour = (counts && COLOURS[judged]) || "unknown";
-  const [headline, ...sentences] = [...reservation(run), ...run.verdict.says];
+/** What is seen first of a run that ended without a result. */
+export function noResult({ status }) {
+  const how = status === "failed" ? "failed" : "was aborted";
+  return answer("NO RESULT", "unknown", `The run ${how}: it made no calibration.`);
+}
+
+function answer(word, colour, sentence) {
+  return h(
+    "div",
+    { class: `verdict answer ${colour}`, "data-testid": "answer" },
+    h("h2", { class: "word" }, word),
+    h("p", {}, sentence),
+  );
+}
+
+/** Whether a run's result is good: one word, one colour, one sentence. */
+function judged({ status, voided, verdict }) {
+  if (voided) return ["VOIDED", "unknown", `Not to be used: ${voided.reason}`];
+  if (status !== "completed") return ["NOT FINISHED", "unknown", "Figures of the poses so far."];
+  const { answer: ofLimits, left, reliable, says } = verdict;
+  const isDoubtful = reliable === false && ofLimits !== "fail";
+  const by = isDoubtful ? "more_than_noise" : ofLimits === "no_limits" ? (left ?? "undecided") : ofLimits;
+  const [word, colour] = ANSWERS[by];
+  return [word, colour, sentenceAfter(word, says[0])];
+}
+
+/** The first sentence of the verdict: of "Good: only noise is left." what follows the word GOOD. */
+function sentenceAfter(word, says) {
+  const [sentence] = says.split(/(?<=\.) (?=[A-Z])/);
+  const [first, ...rest] = sentence.split(": ");
+  const said = rest.join(": ");
+  return said && first.toUpperCase() === word ? said[0].toUpperCase() + said.slice(1) : sentence;
+}
+
+/** What is seen first of a run that has a result: whether it is good, and the calibration. */
+export function answerOf(run) {
+  return h("div", { class: "first-sight" }, answer(...judged(run)), figureList(headlineFigures(run), { id: "headline" }));
+}
+
+function headlineFigures({ result, plan, provenance }) {
+  if (plan?.kind === "verification") return verified(result, provenance.verifies_revision).slice(0, 4);
+  const found = headline(result);
+  const { expanded_uncertainty_deg: expanded, coverage_factor: k } = result.over_range ?? {};
   return [
-    h("h2", {}, "Result"),
+    ["Bias", plusMinus(found.bias_deg, found.bias_std_deg, "°")],
+    ["Scale", plusMinus(found.scale, found.scale_std)],
+    [found.name, significant(found.rms_deg, 3, "°")],
+    ["Expanded uncertainty", isKnown(expanded) ? `${significant(expanded, 2, "°")} (k = ${significant(k, 3)})` : NOT_KNOWN],
+  ];
+}
+
+/** All figures and the whole verdict of a run that has a result. */
+export function resultDetails(run) {
+  const { reliable } = run.verdict;
+  const isValid = run.status === "completed" && !run.voided;
+  const [first, ...sentences] = [...reservation(run), ...run.verdict.says];
+  return h(
+    "div",
+    { class: "columns outcome" },
+    figureList(figures(run)),
     h(
       "div",
-      { class: "columns outcome" },
-      figureList(figures(run)),
-      h(
-        "div",
-        { class: `verdict ${colour}`, "data-testid": "verdict" },
-        h("h3", {}, "Verdict"),
-        h("p", { class: "headline" }, headline),
-        paragraphs(sentences),
-        reliable === false && counts && h("p", {}, h("a", { href: unitHref(run.unit) }, "Drafts of this unit")),
-      ),
+      { class: `verdict ${judged(run)[1]}`, "data-testid": "verdict" },
+      h("h3", {}, "Verdict"),
+      h("p", { class: "headline" }, first),
+      paragraphs(sentences),
+      reliable === false && isValid && h("p", {}, h("a", { href: unitHref(run.unit) }, "Drafts of this unit")),
     ),
-  ];
+  );
 }
 
 /** The headline above the verdict of a run that is voided or not completed. */

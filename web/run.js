@@ -5,14 +5,16 @@ import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { errorLine, fill, h, keepingFocus, runName, tableBox } from "./dom.js";
-import { isKnown } from "./format.js";
+import { Fold } from "./fold.js";
+import { isKnown, significant } from "./format.js";
 import { hasNoHoming, wayOn } from "./interrupted.js";
 import { LivePanel, TERMINAL } from "./live.js";
 import { may } from "./me.js";
+import { NextStep } from "./next.js";
 import { PoseTable } from "./poses.js";
-import { provenanceDetails } from "./provenance.js";
-import { noResultAbout, resultCard } from "./result.js";
-import { downloads, faultLine, heading } from "./runhead.js";
+import { provenanceLists } from "./provenance.js";
+import { answerOf, noResult, noResultAbout, resultDetails } from "./result.js";
+import { downloads, faultLine, faultSummary, heading } from "./runhead.js";
 import { placeField } from "./stageplace.js";
 import { preferRig } from "./stop.js";
 import { follow } from "./stream.js";
@@ -39,8 +41,18 @@ class RunPage {
     const announce = (text) => (this.spoken.textContent = text);
     this.mismatches = h("section", { id: "mismatches", class: "card", role: "alert", hidden: true });
     this.live = new LivePanel((verb) => this.#ask(verb), announce);
-    this.result = h("section", { id: "result", class: "card", hidden: true });
-    this.diagnosis = new DiagnosisPanel(path, signal, () => this.#reread());
+    this.answer = h("div");
+    this.diagnosis = new DiagnosisPanel(path, signal, (isStep) => this.#reread(isStep));
+    this.next = new NextStep(path, signal, this.diagnosis, (isStep) => this.#reread(isStep));
+    this.figures = h("div");
+    this.resultFold = new Fold("result", "Figures and verdict", this.figures);
+    this.result = h(
+      "section",
+      { id: "result", class: "card", "aria-label": "Result", hidden: true },
+      this.answer,
+      this.next.element,
+      this.resultFold.element,
+    );
     this.timelineChart = new Chart("timeline", "Stage and reading against time", { signal, empty: NO_TIMES });
     this.plain = h("input", { type: "checkbox", id: "plain-fit", on: { change: () => this.#otherFit() } });
     this.plainField = h("label", { class: "toggle", hidden: true }, this.plain, " Plain fit of bias and scale");
@@ -54,17 +66,23 @@ class RunPage {
       (pose) => askExclude(path, pose),
       (pose) => askInclude(path, pose),
     );
-    this.posesTitle = h("h2", { id: "poses-title" }, "Poses");
-    this.faults = h("section", { class: "card", id: "faults", "aria-label": "Faults" });
-    this.study = h("p");
-    this.more = h("div");
-    const posesCard = h(
-      "section",
-      { class: "card", "aria-labelledby": "poses-title" },
-      this.posesTitle,
-      tableBox("Poses", this.poses.element),
-    );
-    this.ofPoses = [this.residualChart.element, posesCard];
+    this.posesFold = new Fold("poses", "Poses", tableBox("Poses", this.poses.element));
+    const charts = h("div", { class: "charts" }, this.timelineChart.element, this.residualChart.element);
+    this.chartsFold = new Fold("charts", "Charts", charts);
+    this.chartsFold.say("residual of each pose; stage and reading against time");
+    this.chartsFold.onOpen(() => this.#drawCharts(), signal);
+    this.faults = h("div", { id: "faults" });
+    this.faultsFold = new Fold("faults", "Faults", this.faults);
+    this.files = h("div");
+    this.amending = h("div");
+    this.amendFold = new Fold("amend", "Amend", this.amending);
+    this.amendFold.say("note, serial number, void");
+    this.origin = h("div");
+    const filesFold = new Fold("files", "Downloads", this.files);
+    filesFold.say("poses, raw samples, further analysis");
+    const originFold = new Fold("origin", "Plan and provenance", this.origin);
+    originFold.say("settings, versions, instruments");
+    this.ofPoses = [this.residualChart.element, this.posesFold.element];
     this.element = h(
       "div",
       { class: "run" },
@@ -74,11 +92,11 @@ class RunPage {
       this.live.element,
       this.result,
       this.diagnosis.element,
-      h("div", { class: "charts" }, this.timelineChart.element, this.residualChart.element),
-      this.faults,
-      posesCard,
-      this.study,
-      this.more,
+      h(
+        "section",
+        { class: "card folds", "aria-label": "Details" },
+        [this.chartsFold, this.posesFold, this.faultsFold, filesFold, this.amendFold, originFold].map(({ element }) => element),
+      ),
       this.spoken,
     );
     signal.addEventListener("abort", () => clearTimeout(this.timer));
@@ -131,7 +149,7 @@ class RunPage {
   /** Reads the run after its end, or after a lost connection; closes the stream if it has ended. */
   async #caughtUp(stream, timeline) {
     try {
-      await this.#reread();
+      await this.#reread(true);
       this.error.say(null);
       if (!this.ended) return;
       stream.stop();
@@ -147,11 +165,14 @@ class RunPage {
   }
 
   #show(run) {
-    if (this.run && this.run.status !== run.status)
-      this.spoken.textContent = `Run ${runName(run.id)} is ${run.status}`;
+    const before = this.run;
+    if (before && before.status !== run.status) this.spoken.textContent = `Run ${runName(run.id)} is ${run.status}`;
     this.run = run;
     for (const part of this.ofPoses) part.hidden = run.plan?.kind === "static";
     keepingFocus(this.element, () => this.#draw(run));
+    const { ended } = this;
+    if (before && TERMINAL.has(before.status) === ended) return;
+    for (const fold of [this.chartsFold, this.posesFold]) fold.open(!ended); // what is measured now is watched
   }
 
   #draw(run) {
@@ -159,21 +180,34 @@ class RunPage {
       this.header,
       heading(run),
       wayOn(run, this.place, (verb) => this.#goOn(verb)),
-      amendments(run, this.path, this.ended),
     );
     this.live.show(run);
     this.#wait(this.ended ? null : run.progress.waiting_for);
     const axis = run.plan?.mount_axis ?? run.provenance?.mount_axis ?? "x";
     const forSolve = !run.result && run.status === "completed" && axis !== "x";
-    this.result.hidden = !run.result && !forSolve;
+    const isWithout = !run.result && ["failed", "aborted"].includes(run.status);
+    this.result.hidden = !run.result && !isWithout && run.status !== "completed";
+    this.resultFold.element.hidden = !run.result;
     this.plainField.hidden = !isKnown(run.result?.rms_with_effects_deg);
     if (this.plainField.hidden) this.plain.checked = false;
-    if (run.result) fill(this.result, resultCard(run), downloads(run, this.path));
-    else if (forSolve) fill(this.result, noResultAbout(axis), downloads(run, this.path));
-    if (this.ended) this.diagnosis.show(run);
-    fill(this.faults, faultLine(run.faults));
-    fill(this.study, this.ended && run.plan && studyLink(run));
-    fill(this.more, provenanceDetails(run));
+    fill(this.answer, run.result ? answerOf(run) : isWithout ? noResult(run) : forSolve && noResultAbout(axis));
+    fill(this.figures, run.result && resultDetails(run));
+    this.resultFold.say(run.result && figuresLine(run.result));
+    if (this.ended) {
+      this.diagnosis.show(run);
+      this.next.show(run);
+    }
+    this.#showFaults(run.faults);
+    fill(this.files, downloads(run, this.path), this.ended && run.plan && run.plan.kind !== "static" && studyLink(run));
+    const offered = amendments(run, this.path, this.ended);
+    this.amendFold.element.hidden = !offered.hasChildNodes();
+    fill(this.amending, offered);
+    fill(this.origin, provenanceLists(run));
+  }
+
+  #showFaults(faults) {
+    fill(this.faults, faultLine(faults));
+    this.faultsFold.say(faultSummary(faults));
   }
 
   /** Shows what the run waits for the operator to do; the card is loaded when first needed. */
@@ -198,11 +232,20 @@ class RunPage {
     clearTimeout(this.timer);
     const [poses] = await Promise.all([
       get(`${this.path}/poses${this.#fit}`, this.signal),
-      this.residualChart.load(`${this.path}/figures/residual${this.#fit}`),
-      this.timelineChart.load(`${this.path}/figures/timeline`),
+      this.chartsFold.isOpen && this.#drawCharts(),
     ]);
     this.poses.show(poses, !this.run.voided && may("operator"));
     this.#countPoses();
+    const excluded = poses.filter((pose) => pose.excluded).length;
+    this.posesFold.say(excluded ? `${excluded} excluded` : "angles, readings and residuals; exclude a pose");
+  }
+
+  /** Of a live run the timeline draws itself. */
+  #drawCharts() {
+    return Promise.all([
+      this.run.plan?.kind !== "static" && this.residualChart.load(`${this.path}/figures/residual${this.#fit}`),
+      this.ended && this.timelineChart.load(`${this.path}/figures/timeline`),
+    ]);
   }
 
   /** Which residuals are shown: those that the verdict judges, or by bias and scale alone. */
@@ -219,12 +262,12 @@ class RunPage {
   }
 
   #countPoses() {
-    this.posesTitle.textContent = `Poses (${this.poses.size})`;
+    this.posesFold.title.textContent = `Poses (${this.poses.size})`;
   }
 
   #residualSoon() {
     this.timer ??= setTimeout(async () => {
-      await Promise.all([this.residualChart.load(`${this.path}/figures/residual`), this.#faultsNow()]);
+      await Promise.all([this.chartsFold.isOpen && this.#drawCharts(), this.#faultsNow()]);
       this.timer = undefined;
     }, RESIDUAL_EVERY_MS);
   }
@@ -232,7 +275,7 @@ class RunPage {
   async #faultsNow() {
     try {
       const { faults } = await get(this.path, this.signal);
-      fill(this.faults, faultLine(faults));
+      this.#showFaults(faults);
     } catch (error) {
       this.#say(error);
     }
@@ -309,12 +352,17 @@ class RunPage {
     }
   }
 
-  async #reread() {
+  /** Reads the run; `isStep`: a step is done, and the button of the next one gets the focus. */
+  async #reread(isStep = false) {
     this.#show(await get(this.path, this.signal));
+    if (isStep) this.next.focus();
   }
 }
 
 function studyLink(run) {
-  const text = run.plan.kind === "static" ? "Noise analysis of this log" : "Filter comparison on this run";
-  return h("a", { id: "study", href: `#/noise/${encodeURIComponent(run.id)}` }, text);
+  return h("a", { id: "study", href: `#/noise/${encodeURIComponent(run.id)}` }, "Filter comparison on this run");
+}
+
+function figuresLine({ rms_raw_deg: raw, noise_deg: noise }) {
+  return `RMS error ${significant(raw, 3, "°")} raw, standard error of a reading ${significant(noise, 2, "°")}`;
 }

@@ -1,7 +1,7 @@
-// The head of a run: name, status, notes, downloads and data faults.
+// The head of a run: name, status and notes; and what its folds hold of downloads and data faults.
 
 import { h, rigHref, runLink, runName, solveHref, statusPill, unitHref, unitLink } from "./dom.js";
-import { moment } from "./format.js";
+import { moment, plural } from "./format.js";
 import { interruptions } from "./interrupted.js";
 import { kindTag } from "./runlist.js";
 
@@ -64,6 +64,13 @@ export function faultLine(faults) {
       ? h("p", {}, h("strong", {}, "Data faults, excluded from the readings: "), counted.map(faultWords))
       : h("p", { class: "muted" }, "No data faults."),
   ];
+}
+
+/** The faults in one line. */
+export function faultSummary({ move_mismatch: mismatches, ...ofData }) {
+  const count = Object.values(ofData).reduce((sum, one) => sum + one, 0);
+  const parts = [mismatches && plural(mismatches, "move mismatch", "move mismatches"), count && plural(count, "data fault")];
+  return parts.filter(Boolean).join(", ") || "none";
 }
 
 function faultWords([kind, count], place) {

@@ -84,7 +84,7 @@ export async function unitView({ root, parts: [serial], signal }) {
 }
 
 /** The button that verifies the revision in force with new poses, by default on the rig that it was calibrated on. */
-function verifying({ serial, runs, active_run_id: active, revision_in_force: revision }, rigs) {
+export function verifying({ serial, runs, active_run_id: active, revision_in_force: revision }, rigs) {
   const last = runs.find(({ id }) => id === active)?.rig;
   const rig = select({ id: "verify-rig", "aria-label": "Rig to verify on" }, rigs.map(({ name }) => name), last);
   const button = h("button", { type: "button", id: "verify" }, "Verify");

@@ -48,6 +48,14 @@ class EffectFound(Model):
         default=None,
         description="Whose readings it corrects once accepted; null if it cannot be, and in older ones.",
     )
+    explained: float | None = Field(
+        default=None,
+        description=(
+            "Share of the mean square residual of bias and scale that the effect explains in the final fit: "
+            "its covariance with that residual over the residual's mean square. The shares and that of the "
+            "final residual add up to 1; null in older diagnoses."
+        ),
+    )
     p_value: float
     changed: ChangedBetween | None = None  # null: the effect is the same in all runs
     confusable_with: list[str]

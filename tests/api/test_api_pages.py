@@ -57,7 +57,7 @@ LATER = re.findall(
     r"\w+",
     """
     amend ask benches benchfilters benchtable calibrations certificate charts compare diagnosis effect
-    effects followup import interrupted limits live longwork noise paper plandesign poses provenance
+    effects fold followup import interrupted limits live longwork next noise paper plandesign poses provenance
     queue queuebell queueclock queueform queuekeys queuerig result rig run runhead solution solve stream
     timeline together trail units upload users waiting
     """,

@@ -90,6 +90,11 @@ def test_the_answer_names_what_was_found_the_weakest_first():
     assert all(what in part and which in part for (what, which), part in zip(parts, found_parts, strict=True))
 
 
+def test_a_candidate_without_a_name_is_an_unknown_effect():
+    said = conclude(found("ambiguous", effect("temperature_offset", "ambiguous", "unnamed"))).says[0]
+    assert said.endswith("temperature offset or an unknown effect")
+
+
 def answer(left):
     return conclude(found("nothing", after_deg=0.1, left=left)).says[0]
 

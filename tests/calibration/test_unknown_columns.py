@@ -60,6 +60,7 @@ def test_an_angle_is_a_circle_and_where_it_is_largest_is_told():
     at, size = effect["parameters"]["at"], effect["parameters"]["size_deg"]
     assert at["value"] == pytest.approx(98.0, abs=4.0 * at["std"])
     assert size["value"] == pytest.approx(0.1, abs=0.01)
+    assert f"maximum at {at['value']:.1f}°" in effect["evidence"]
     assert effect["parameters"]["period"]["value"] == 360.0
     assert any("°" in said and "azimuth_deg went from" in said for said in effect["evidence"])
 

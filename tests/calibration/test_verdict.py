@@ -103,6 +103,10 @@ def test_a_verification_fits_nothing():
         ({"effects": []}, ["no further effect"]),
         (found("unnamed", "unnamed"), ["not in its catalogue"]),
         (found("backlash", "ambiguous", rivals=["settling"]), ["cannot distinguish", "backlash", "settling"]),
+        (
+            found("temperature_offset", "ambiguous", rivals=["unnamed"]),
+            ["The diagnosis cannot distinguish temperature offset from an unknown effect."],
+        ),
     ],
 )
 def test_it_says_what_is_known_of_the_cause(diagnosis, words):

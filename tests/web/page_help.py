@@ -77,6 +77,16 @@ def figures_of(page, place):
     return dict(rows.evaluate_all(both))
 
 
+def unfold(page, name):
+    """Opens a fold of a run's page, such as `charts`, `poses` or `amend`."""
+    page.locator(f"#{name}-fold > summary").click()
+
+
+def unfold_effect(page, name):
+    """Opens the line of an effect."""
+    page.locator(f"[data-effect={name}] > details > summary").click()
+
+
 def row_of(page, table, text):
     """What a table says in the row with a text, by the heading that each cell stands under."""
     row = page.locator(f"{table} tbody tr").filter(has_text=text)

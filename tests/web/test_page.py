@@ -6,7 +6,7 @@ import pytest
 from simulated_devices import Counterpart, plug
 from support import LONG, wait_for
 
-from .page_help import line_x, readings, until_pose
+from .page_help import line_x, readings, unfold, until_pose
 
 pytestmark = pytest.mark.browser
 
@@ -45,6 +45,7 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     expect(page.locator("#result")).to_contain_text(f"± {of_stage:#.2g}° (type B, stage)")
     expect(page.get_by_test_id("verdict")).to_contain_text("Verdict")
     expect(page.locator("#poses-table tbody tr")).to_have_count(6)
+    unfold(page, "charts")
     scales = "!!document.querySelector('[data-testid=residual]').layout?.yaxis2"
     wait_for(lambda: page.evaluate(scales), "chart of the residual")
     wait_for(lambda: len(line_x(page, "timeline")) > 2, "readings in the timeline")

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from .page_help import imported
+from .page_help import imported, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -29,6 +29,7 @@ def told(page, unit, go, expect, entries):
 def test_a_voided_run_counts_again_and_the_trail_says_why(page, client, go, expect):
     run = imported(client, "AGAIN")
     go(f"#/runs/{run['id']}")
+    unfold(page, "amend")
     page.click("#void")
     confirm(page, reason="the cable caught")
     expect(page.locator("#void-reason")).to_contain_text("the cable caught")
@@ -49,6 +50,7 @@ def test_a_voided_run_counts_again_and_the_trail_says_why(page, client, go, expe
 def test_an_excluded_pose_is_included_again(page, client, go, expect):
     run = imported(client, "INCLUDED")
     go(f"#/runs/{run['id']}")
+    unfold(page, "poses")
     page.get_by_role("button", name="Exclude pose 3").click()
     confirm(page, reason="bumped")
     row = page.locator("#poses-table tr[data-pose='3']")
@@ -62,6 +64,7 @@ def test_an_excluded_pose_is_included_again(page, client, go, expect):
 def test_notes_are_added_one_below_the_other(page, client, go, expect):
     run = imported(client, "NOTED")
     go(f"#/runs/{run['id']}")
+    unfold(page, "amend")
     for note in ("it hangs low", "<b>bent</b> pin"):
         page.click("#note")
         confirm(page, note=note)
@@ -72,6 +75,7 @@ def test_notes_are_added_one_below_the_other(page, client, go, expect):
 def test_a_run_under_a_wrong_serial_number_is_moved_and_the_ghost_removed(page, client, go, expect):
     run = imported(client, "GHOST/1")
     go(f"#/runs/{run['id']}")
+    unfold(page, "amend")
     page.click("#move")
     confirm(page, right_unit="RIGHT-1", reason="misread")
     expect(page.locator("h1")).to_contain_text("RIGHT-1")
@@ -93,6 +97,7 @@ def test_a_move_that_is_refused_says_why_and_the_question_stays(page, client, go
     forgiven.append("status of 409")
     run = imported(client, "HERE")
     go(f"#/runs/{run['id']}")
+    unfold(page, "amend")
     page.click("#move")
     confirm(page, right_unit="HERE", reason="misread")
     expect(page.locator("#ask-error")).to_contain_text("of unit 'HERE' already")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support import wait_for
 
-from .page_help import ambiguous_poses, imported, imported_lines
+from .page_help import ambiguous_poses, imported, imported_lines, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -66,6 +66,7 @@ def test_a_certificate_is_issued_listed_and_corrected(page, client, go, expect):
 def test_on_paper_there_are_no_controls_and_nothing_is_cut(page, client, go, expect):
     run = imported_lines(client, ambiguous_poses(), "PAPER-1")
     go(f"#/runs/{run['id']}")
+    unfold(page, "charts")
     expect(page.locator(".plot .main-svg").first).to_be_visible()
     page.set_viewport_size({"width": 700, "height": 990})  # what A4 leaves between its margins
     page.emulate_media(media="print")
@@ -77,6 +78,8 @@ def test_on_paper_there_are_no_controls_and_nothing_is_cut(page, client, go, exp
     wait_for(is_sized_for_paper, "code that does it, which comes after the chart's")
     try:
         assert page.locator("button:visible, .frame:visible, .downloads:visible").count() == 0
+        assert page.locator("main details:not([open])").count() == 0
+        expect(page.locator("#poses-table")).to_be_visible()
         boxes = "boxes => boxes.filter(box => box.scrollHeight > box.clientHeight + 1).length"
         assert page.locator(".table-box").evaluate_all(boxes) == 0
         assert page.evaluate("document.documentElement.scrollWidth") <= 700
@@ -86,6 +89,7 @@ def test_on_paper_there_are_no_controls_and_nothing_is_cut(page, client, go, exp
         page.evaluate("window.dispatchEvent(new Event('afterprint'))")
         page.emulate_media(media="screen")
     assert page.locator(".plot .main-svg[viewBox]").count() == 0
+    expect(page.locator("#poses-table")).to_be_hidden()  # as it was before
     go("#/units")
     page.emulate_media(media="print")
     expect(page.locator("#units-table")).to_be_visible()
@@ -101,7 +105,7 @@ def test_axe_finds_nothing_on_any_view(page, client, go, expect):
         "": "#runs-table tbody tr",
         "units": "#units-table",
         "units/AXE-1": "#sha256",
-        f"runs/{run['id']}": "#poses-table tbody tr",
+        f"runs/{run['id']}": "#next .primary",
         "compare?unit=AXE-1": "#compare-table",
         "noise": "main form",
         "limits": "#limits-form",
@@ -114,5 +118,6 @@ def test_axe_finds_nothing_on_any_view(page, client, go, expect):
     for view, loaded in views.items():
         go(f"#/{view}")
         expect(page.locator(loaded).first).to_be_visible()
+        page.locator("main details").evaluate_all("all => all.forEach(one => (one.open = true))")
         found = axe.run(page)
         assert found.violations_count == 0, f"{view}: {found.generate_report()}"

@@ -19,6 +19,8 @@ from .page_help import (
     ambiguous_poses,
     cancelled_by_who_comes_back,
     figures_of,
+    unfold,
+    unfold_effect,
 )
 from .page_help import imported_lines as imported
 from .slow_work import LET_GO, slow_design
@@ -108,19 +110,21 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     decimals = 1 - int(f"{size['std']:e}".split("e")[1])
     stated = f"{size['value']:.{decimals}f} ± {size['std']:.{decimals}f}°"
     expect(effect).to_contain_text(stated.replace("-", "−"))
+    unfold_effect(page, "backlash")
     is_drawn(page, "effect-0")
+    unfold(page, "diagnosis")
     expect(page.get_by_test_id("before-after").locator(".plot-container")).to_be_visible()
 
     page.click("#accept-backlash")
     page.get_by_test_id("confirm").click()
-    expect(effect).to_contain_text("belongs to the error map of rig bench-3")
+    expect(effect).to_contain_text("Stored as an error of rig bench-3; not exported with the unit.")
     expect(verdict).to_have_class("verdict good")
     assert [e.name for e in service.store.effects.in_force("TRACED", "bench-3")] == ["backlash"]
     shown = effect.locator(".accepted")
     (kept,) = client.get(f"/api/runs/{run['id']}").json()["diagnosis"]["effects"]
     expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
     page.reload()
-    expect(shown).to_contain_text("belongs to the error map of rig bench-3")  # kept with the run
+    expect(shown).to_contain_text("Stored as an error of rig bench-3")  # kept with the run
     expect(shown.locator("time")).to_have_attribute("datetime", kept["accepted_at"])
     expect(page.locator("#accept-backlash")).to_have_count(0)
 
@@ -134,6 +138,7 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     assert verified["verdict"]["ratio"] < 4.0
 
     go(f"#/runs/{run['id']}")
+    unfold_effect(page, "backlash")
     page.click("#take-back-backlash")
     page.fill("#reason", "the cable was loose")
     page.get_by_test_id("confirm").click()
@@ -173,6 +178,7 @@ def test_every_effect_of_the_catalogue_is_shown_in_its_own_words(page, client, s
         card = page.locator(f"[data-effect={effect.name}]")
         expect(card.get_by_role("heading")).to_contain_text(effect.title)
         expect(card.locator(".formula dd")).to_have_text(effect.formula)
+        expect(card.locator(".share")).to_have_text("")  # earlier versions did not compute it
         for k, parameter in enumerate(p for p in effect.parameters if not p.flag):
             unit = effect.covariate.unit if parameter.unit is None else parameter.unit
             expect(card.locator("dl > div").nth(k)).to_have_text(re.compile(shown_as(parameter.title, unit)))
@@ -234,7 +240,12 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("Indistinguishable")
     found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
     planned = found["follow_up"]
-    box = page.locator(".follow-up")
+    line = page.locator("[data-effect=backlash]")
+    expect(line.locator(".suspects")).to_have_text("May be backlash or settling.")
+    expect(line.locator("summary").first).to_contain_text("not decided")
+    box = line.locator(".follow-up")
+    least, most = (f"{end(planned['plan']['elevations_deg']):.1f}°".replace("-", "−") for end in (min, max))
+    expect(box).to_contain_text(f"It moves the stage from {least} to {most}")
     for name in planned["separates"]:
         expect(box).to_contain_text(name)
     expect(box).to_contain_text(f"{len(planned['plan']['elevations_deg'])} poses")
@@ -267,6 +278,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     figures = figures_of(page, "#before-after")
     for when in ("before", "after"):
         assert figures[f"Confirmation, {when}"] == f"{confirmed[f'{when}_rms_deg']:#.3g}°"
+    unfold_effect(page, "backlash")
     is_drawn(page, "effect-0")
 
     page.locator("#follows a").click()
@@ -290,6 +302,7 @@ def test_an_effect_that_cannot_correct_later_runs_is_refused_saying_why(page, cl
     run = imported(client, unsettled_poses(), "UNSETTLED")
     go(f"#/runs/{run['id']}")
     page.click("#diagnose")
+    unfold_effect(page, "settling")
     page.click("#accept-settling")
     page.get_by_test_id("confirm").click()
     expect(page.locator("#ask-error")).to_contain_text("cannot correct later runs")
@@ -313,6 +326,7 @@ def test_noise_alone_is_accused_of_nothing_and_an_error_map_says_what_it_needs(p
     go(f"#/runs/{run['id']}")
     page.click("#diagnose")
     expect(page.get_by_test_id("diagnosis-verdict")).to_contain_text("No effect found")
+    unfold(page, "diagnosis")
     summary = page.get_by_test_id("error-map-details").locator("summary")
     summary.click()
     expect(page.locator("#error-map")).to_contain_text("unit U0 clamped at 0°, ")

@@ -10,7 +10,7 @@ from support import DATA
 
 from calrig.export.archive.check import check_archive
 
-from .page_help import figures_of, imported, row_of
+from .page_help import figures_of, imported, row_of, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -59,6 +59,7 @@ def test_the_error_before_and_after_calibration_stand_each_under_its_own_name(pa
 def test_a_run_is_voided_with_a_reason_and_stays_struck_through(page, client, go, expect):
     run = imported(client, "VOIDED")
     go(f"#/runs/{run['id']}")
+    unfold(page, "amend")
     page.click("#void")
     page.get_by_test_id("confirm").click()  # no reason yet: the browser asks for one
     expect(page.locator("dialog")).to_be_visible()
@@ -78,6 +79,7 @@ def test_an_excluded_pose_changes_the_result_and_dates_the_diagnosis(page, clien
     run = imported(client, "EXCLUDING", poses=24)
     client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
     go(f"#/runs/{run['id']}")
+    unfold(page, "poses")
     page.get_by_role("button", name="Exclude pose 7").click()
     page.fill("#reason", "bumped")
     page.get_by_test_id("confirm").click()

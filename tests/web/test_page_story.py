@@ -9,7 +9,7 @@ import pytest
 from support import running_service, serving
 from told_units import IMU, LIMIT, accepted, agrees, measured, solved
 
-from .page_help import figures_of, imported, row_of
+from .page_help import figures_of, imported, row_of, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -83,6 +83,7 @@ def test_card_run_lists_and_comparison_show_the_figures_in_force(page, client, g
 
 def test_a_toggle_shows_residuals_of_the_plain_fit(page, client, go, expect, runs):
     go(f"#/runs/{runs[1]['id']}")
+    unfold(page, "charts")
     lower = """() => document.querySelector("[data-testid=residual]").data
         ?.filter(trace => trace.yaxis === "y2").flatMap(trace => [...trace.y])"""
     cells = page.locator("#poses-table tbody tr td:nth-child(7)")

@@ -9,7 +9,7 @@ from support import LONG, serving
 from calrig.api.access import Access
 from calrig.run_ids import short_name
 
-from .page_help import imported
+from .page_help import imported, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -47,6 +47,7 @@ def test_an_admin_adds_a_user_whose_page_offers_what_they_may(page, client, go, 
     expect(page.locator("#who")).to_have_text("ada (viewer)")
     expect(page.locator("#users-link")).to_be_hidden()
     go(f"#/runs/{run['id']}")
+    unfold(page, "poses")
     expect(page.locator("#poses-table tbody tr").first).to_be_visible()
     for button in ("#void", "#move", "#note", "[aria-label^=Exclude]"):
         expect(page.locator(button)).to_have_count(0)
@@ -56,6 +57,7 @@ def test_an_admin_adds_a_user_whose_page_offers_what_they_may(page, client, go, 
 
     client.post("/api/users/ada/role", json={"role": "releaser"}).raise_for_status()
     page.reload()
+    unfold(page, "amend")
     page.click("#void")
     page.fill("#reason", "slipped")
     page.get_by_test_id("confirm").click()

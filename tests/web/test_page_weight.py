@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support import serving
 
-from .page_help import ambiguous_poses, imported_lines
+from .page_help import ambiguous_poses, imported_lines, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -13,6 +13,8 @@ FIRST_BYTES = 600_000
 """Half of what was promised: with 5 Mbit/s a second. Nine tenths of it are the charts' script."""
 NEXT_BYTES = 30_000
 CHARTLESS_BYTES = 80_000
+ANSWER_BYTES = 140_000
+"""Of the import's page and of a run's, up to the answer and the next step: charts come with their fold."""
 
 
 @pytest.fixture
@@ -47,6 +49,11 @@ def test_the_first_run_page_comes_in_one_second_and_the_next_in_none(page, clien
     assert 0 < sum(sent.values()) < CHARTLESS_BYTES
 
     go(f"#/runs/{run['id']}")
+    expect(page.locator("#next .primary")).to_be_visible()
+    page.wait_for_load_state("networkidle")
+    assert not [name for name in sent if "plotly" in name]
+    assert sum(sent.values()) < ANSWER_BYTES
+    unfold(page, "charts")
     expect(charts).to_have_count(1)
     page.wait_for_load_state("networkidle")
     assert [name for name in sent if "plotly" in name]
@@ -54,6 +61,7 @@ def test_the_first_run_page_comes_in_one_second_and_the_next_in_none(page, clien
 
     sent.clear()
     page.reload()
+    unfold(page, "charts")
     expect(charts).to_have_count(1)
     page.wait_for_load_state("networkidle")
     assert 0 < sum(sent.values()) < NEXT_BYTES

@@ -16,7 +16,12 @@ from typing import Any, Literal
 from calrig.calibration.diagnosis.lack_of_fit import LEVEL, SEVERAL
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.regression.effect import ELEVATION
-from calrig.calibration.uncertainty.verdict import SAME_EFFECT, between_runs, not_repeated_better
+from calrig.calibration.uncertainty.verdict import (
+    SAME_EFFECT,
+    UNKNOWN_EFFECT,
+    between_runs,
+    not_repeated_better,
+)
 from calrig.estimation.angle_text import angle_text
 
 Document = Mapping[str, Any]
@@ -208,6 +213,8 @@ def _suspects(effect: Document) -> str:
 
 def _words(name: str, origin: str) -> str:
     """Return an effect's name in a sentence; its title where it is the sensor's by a good reference."""
+    if name == UNNAMED:
+        return UNKNOWN_EFFECT
     known = EFFECTS.get(name)
     if known is None or origin == known.origin or known.as_sensor is None or origin != "sensor":
         return name.replace("_", " ")

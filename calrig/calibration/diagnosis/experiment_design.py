@@ -145,9 +145,8 @@ def design(
             by_hand = OTHER_PLACES
         suspected = " from ".join(EFFECTS[name].words for name in names)
         return (
-            f"no run of {MOST_POSES} poses on this rig would separate {suspected}: the best is "
-            f"expected to set them apart by {separation:.1f} in −2 log likelihood, and less than "
-            f"{LEAST_SEPARATION:g} is not worth a run; {by_hand}"
+            f"a further run of {MOST_POSES} poses on this rig cannot separate {suspected}: expected −2 log "
+            f"likelihood between them {separation:.1f}, required {LEAST_SEPARATION:g}; {by_hand}"
         )
     elevations = (*chosen, *_confirming(limits_deg, rng))
     return FollowUp(names, separation, elevations, len(chosen), sweeps, wait_s)

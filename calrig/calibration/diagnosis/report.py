@@ -9,6 +9,12 @@ to the Bootstrap, 1993, section 6.5).
 With reading − θ = base + Σ effects + e, the partial residual of effect k is its fitted part plus e (Larsen &
 McCleary, Technometrics 14, 1972). Plotted against its covariate it shows where the effect describes the poses
 well, and where it does not.
+
+How much of the residual an effect explains is its share of the mean square that bias and scale leave, in the
+fit of all effects together: the covariance of the effect with that residual, over the residual's mean square
+(Pratt, Proceedings of the Second International Tampere Conference in Statistics, 1987). The shares of all
+effects and of the final residual add up to 1, also where effects are correlated; an effect that others
+compensate can have a negative one.
 """
 
 from __future__ import annotations
@@ -26,6 +32,7 @@ from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEff
 from calrig.calibration.diagnosis.selection import Findings, most_outliers, outlier
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
+from calrig.calibration.effects.unnamed import maximum_words
 from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import ANGLE, CHANNELS, SCALE_UNIT_DEG
@@ -76,10 +83,37 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
         model = fitted_model(r, whole := sized)
         own = own_columns(model.columns, whole)
         fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
+    shares = explained_shares(r, parts_deg(r, whole, model.fitted.beta))
     return [
-        {**_document(r, one, candidate, fitted, at), "least_p_value": findings.least_p_value}
-        for one, candidate, at in zip(findings.found, whole, own, strict=True)
+        {
+            **_document(r, one, candidate, fitted, at),
+            "explained": share,
+            "least_p_value": findings.least_p_value,
+        }
+        for one, candidate, at, share in zip(findings.found, whole, own, shares, strict=True)
     ]
+
+
+def explained_shares(r: Responses, effects_deg: Sequence[FloatArray]) -> list[float | None]:
+    """Return the share of the mean square residual of bias and scale that each effect explains.
+
+    Args:
+        r: the responses.
+        effects_deg: (n,) what each effect adds to the readings, from one fit of all of them.
+
+    Returns:
+        As the module's docstring defines it; None if bias and scale leave nothing.
+    """
+    before_deg = _beside_a_line(r, r.values[:, 0])
+    power = float(before_deg @ before_deg)
+    return [float(before_deg @ one) / power if power > 0.0 else None for one in effects_deg]
+
+
+def _beside_a_line(r: Responses, values_deg: FloatArray) -> FloatArray:
+    """Return (n,) values less their straight line in θ, which is bias and scale."""
+    if np.ptp(r.theta_deg) == 0.0:
+        return np.asarray(values_deg - values_deg.mean())
+    return np.asarray(values_deg - np.polyval(np.polyfit(r.theta_deg, values_deg, 1), r.theta_deg))
 
 
 def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool = True) -> FloatArray:
@@ -125,17 +159,18 @@ def _document(
     effect = candidate.effect
     beta, covariance = fitted.beta[at], fitted.covariance[at, at]
     of_sensor = effect.as_sensor if candidate.is_of_sensor(r) else None
+    parameters = effect.documented(candidate.shape, beta, covariance)
     return {
         "name": candidate.name,
         "verdict": found.verdict,
         "origin": "sensor" if of_sensor is not None else effect.origin,
         "covariate": candidate.covariate,
-        "parameters": effect.documented(candidate.shape, beta, covariance),
+        "parameters": parameters,
         "corrects": _corrects(r, found, candidate),
         "p_value": found.p_value,
         "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
-        "evidence": _evidence(r, found, candidate),
+        "evidence": [*_evidence(r, found, candidate), *maximum_words(candidate.shape, parameters)],
         "remedy": (of_sensor or effect).remedy,
         "considered": [
             {"name": label, "behind": behind, "why": _why(found, label, behind)}
@@ -292,8 +327,8 @@ def drawn_residuals(
     for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
         at = _column(r, candidate.covariate)
         effect_deg = own
-        if candidate.shape.knots:  # a straight line in a curve is bias and scale
-            effect_deg = own - np.polyval(np.polyfit(r.theta_deg, own, 1), r.theta_deg)
+        if candidate.shape.knots:
+            effect_deg = _beside_a_line(r, own)
         residual_deg = fitted.residuals[:, 0] + effect_deg
         partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, effect_deg))
     return DrawnResiduals(r.theta_deg, r.time_s, before_deg, after_deg, partial)

@@ -70,7 +70,7 @@ EFFECT = Effect(
         Parameter("backlash_deg", "Hysteresis (up − down)", "°"),
         Parameter("taken_up", "Taken up before each pose, however short the move (1)", ""),
     ),
-    formula="backlash_deg/2·approach once the play is taken up",
+    formula="backlash_deg/2·approach: half the hysteresis, sign by direction",
     forms=_forms,
     on_reading_deg=_on_reading_deg,
     not_linear=_in_play,

@@ -376,11 +376,16 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
             f"a period of {shape.at['period']:.4g}°, twice the spacing, or an odd part of it: evenly spaced "
             "poses tell neither its amplitude nor its phase"
         )
-    if shape.form == CIRCLE:
-        said.append(
-            f"`at` is where it is largest, in the {unit} of the column; size_deg is from there to the least"
-        )
     return said
+
+
+def maximum_words(shape: Shape, stated: Documents) -> list[str]:
+    """Return where the fitted circle is largest, a sentence in a list; empty for every other shape."""
+    at = stated.get("at")
+    if shape.form != CIRCLE or at is None:
+        return []
+    unit = unit_of_column(shape.covariate)
+    return [f"maximum at {at['value']:.1f}{unit if unit == '°' else f' {unit}'.rstrip()}"]
 
 
 def _curve(parameters: Parameters) -> SplineCurve:

@@ -45,6 +45,8 @@ IN_WORDS: dict[Answer, str] = {
 }
 SAME_EFFECT = "the same at another period"
 """Names an effect that is confusable with itself: only the spacing of the poses could distinguish them."""
+UNKNOWN_EFFECT = "an unknown effect"
+"""Names the candidate `unnamed`: a shape that no effect of the catalogue explains."""
 
 
 def make_verdict(
@@ -302,12 +304,16 @@ def _found(effect: Document) -> str:
     if effect["verdict"] == "unnamed":
         return "The diagnosis finds an effect that is not in its catalogue."
     rivals = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
-    names = [name.replace("_", " ") for name in (effect["name"], *rivals)]
+    names = [_words(name) for name in (effect["name"], *rivals)]
     if effect["verdict"] == "named" and effect.get("changed"):
         return f"The diagnosis names {names[0]}{between_runs(effect)}."
     if effect["verdict"] == "named":
         return f"The diagnosis names {names[0]}, which has not been accepted."
     return f"The diagnosis cannot distinguish {' from '.join(names)}."
+
+
+def _words(name: str) -> str:
+    return UNKNOWN_EFFECT if name == "unnamed" else name.replace("_", " ")
 
 
 def not_repeated_better(diagnosis: Document) -> list[str]:
