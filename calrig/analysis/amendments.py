@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.imports import Imported, ImportOrigin, check_serial, provenance, read_and_fit
-from calrig.analysis.joint_model import joint_of_rest
+from calrig.analysis.joint_model import is_model_of, joint_of_rest
 from calrig.analysis.results import refitted
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
@@ -90,7 +90,11 @@ class Records:
         )
 
     def void(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
-        """Takes an ended run out of every comparison, and its effects out of force; it stays."""
+        """Takes an ended run out of every comparison, and its effects out of force; it stays.
+
+        Raises:
+            Conflict: what is accepted from the unit's other runs cannot be fitted together without it.
+        """
         why = checked_reason(reason)
 
         def change(fits: Fits) -> Run:
@@ -102,7 +106,11 @@ class Records:
         return in_one_transaction(self._store, change)
 
     def unvoid(self, run_id: str, reason: str, *, who: str | None = None) -> Run:
-        """Has a voided run count again."""
+        """Has a voided run count again.
+
+        Raises:
+            Conflict: its effects cannot be fitted together with those in force.
+        """
         why = checked_reason(reason)
 
         def change(fits: Fits) -> Run:
@@ -114,10 +122,17 @@ class Records:
         return in_one_transaction(self._store, change)
 
     def refit_effects(self, run: Run, fits: Fits) -> None:
-        """Put the model in force of what is accepted from those runs of a unit that are valid now."""
+        """Put the model in force of what is accepted from those runs of a unit that are valid now.
+
+        Raises:
+            Conflict: that cannot be fitted together.
+        """
         effects = self._store.effects
         before = [one for one in effects.in_force(run.unit, None) if one.is_joint]
-        now = joint_of_rest(self._store, effects.acceptances(run.unit), fits)
+        accepted = effects.acceptances(run.unit)
+        if before and is_model_of(self._store, before, accepted):
+            return
+        now = joint_of_rest(self._store, accepted, fits)
         if now != before:  # a model that is put in force once more would outdate every document of it
             effects.replace_joint(run.unit, now)
 

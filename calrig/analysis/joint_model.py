@@ -30,12 +30,11 @@ def joint_of_accepting(
     """Return the model of a unit once more of its effects are accepted; empty where one run has them all.
 
     Raises:
-        Conflict: the effects cannot be fitted together, or the model predicts one of the runs worse than
-            before.
+        Conflict: the effects cannot be fitted together, or predict a run worse than what is in force.
     """
     before = store.effects.acceptances(unit)
     together = [*before, *(one for one in added if one.unit is not None)]
-    if len(together) == len(before) or not _is_needed(store, together):
+    if len(together) == len(before):
         return []
     earlier, runs = _runs(store, before), _runs(store, together)
     in_force = [one for one in store.effects.in_force(unit, None) if one.unit is not None]
@@ -48,14 +47,25 @@ def joint_of_accepting(
         raise Conflict(f"the effects cannot be fitted together with those in force: {error}") from error
     for one in growths:
         if one.is_too_large:
-            others = ", ".join(run.id for run in ordered if run.id != one.run_id)
-            raise Conflict(
-                f"accepting would make run {one.run_id} worse: its error on held-out poses would grow from "
-                f"{one.before_deg:.3g}° to {one.after_deg:.3g}° with one model of it and run {others}. The "
-                "unit has changed between the runs, or an effect is not what it seems: revoke what was "
-                "accepted from the earlier run, or void the run that is wrong"
-            )
-    return _accepted(together, runs, found)
+            others = [run.id for run in ordered if run.id != one.run_id]
+            raise Conflict(_too_large(one, others))
+    return _accepted(together, runs, found) if _is_needed(store, together) else []
+
+
+def _too_large(growth: Growth, others: Sequence[str]) -> str:
+    said = (
+        f"accepting would make run {growth.run_id} worse: its error on held-out poses would grow from "
+        f"{growth.before_deg:.3g}° to {growth.after_deg:.3g}°"
+    )
+    if not others:
+        return (
+            f"{said}. Its poses do not determine the effects well enough: measure more poses, and diagnose again"
+        )
+    return (
+        f"{said} with one model of it and run {', '.join(others)}. The unit has changed between the runs, or "
+        "an effect is not what it seems: revoke what was accepted from the earlier run, or void the run that "
+        "is wrong"
+    )
 
 
 def _fitted(
@@ -65,24 +75,30 @@ def _fitted(
     n_before: int,
 ) -> tuple[JointEffects, list[Growth]]:
     """The model, and what it makes of each run's error on held-out poses."""
-    growths = held_out_growth(runs, before, n_before, effects) if n_before else []
-    return fit_together(runs, effects), growths
+    return fit_together(runs, effects), held_out_growth(runs, before, n_before, effects)
 
 
 def joint_of_rest(store: Store, acceptances: Sequence[AcceptedEffect], fits: Fits) -> list[AcceptedEffect]:
     """Return the model of acceptances that remain after others were revoked or their run was voided.
 
-    It is empty where one run has them all, and where their poses cannot be fitted together: what was accepted
-    last is then in force as its diagnosis has it.
+    It is empty where one run has them all.
+
+    Raises:
+        Conflict: they cannot be fitted together. The values of several diagnoses would count twice what they
+            have in common.
     """
     if not _is_needed(store, acceptances):
         return []
+    runs, effects = _runs(store, acceptances), _effects(acceptances)
+    asked = [_run_of(store, run, acceptances) for run in runs]
     try:
-        runs, effects = _runs(store, acceptances), _effects(acceptances)
-        asked = [_run_of(store, run, acceptances) for run in runs]
         found = fits(partial(fit_together, asked, effects))
-    except (DiagnosisError, Conflict):
-        return []
+    except DiagnosisError as error:
+        listed = ", ".join(f"{one.name} of run {one.run_id}" for one in acceptances)
+        raise Conflict(
+            f"the effects that would stay accepted cannot be fitted together ({listed}): {error}. Nothing was "
+            f"changed: revoke first what was accepted from run {acceptances[-1].run_id}"
+        ) from error
     return _accepted(acceptances, runs, found)
 
 
@@ -97,11 +113,25 @@ def _is_needed(store: Store, acceptances: Sequence[AcceptedEffect]) -> bool:
     return any(run.voided is not None for run_id in ids if (run := store.runs.get(run_id)) is not None)
 
 
-def _runs(store: Store, acceptances: Sequence[AcceptedEffect]) -> list[Run]:
-    """The runs that acceptances rest on and that are not voided, in the order measured."""
+def is_model_of(
+    store: Store, joint: Sequence[AcceptedEffect], acceptances: Sequence[AcceptedEffect]
+) -> bool:
+    """Whether a joint model has the effects of these acceptances, over all of their runs that are valid."""
+    ids = {run.id for run in _valid_runs(store, acceptances)}
+    return {one.name for one in joint} == {one.name for one in acceptances} and all(
+        set(one.runs) == ids for one in joint
+    )
+
+
+def _valid_runs(store: Store, acceptances: Sequence[AcceptedEffect]) -> list[Run]:
     ids = dict.fromkeys(run_id for one in acceptances for run_id in one.rests_on)
     stored = [run for run_id in ids if (run := store.runs.get(run_id)) is not None]
-    runs = [run for run in stored if run.voided is None]
+    return [run for run in stored if run.voided is None]
+
+
+def _runs(store: Store, acceptances: Sequence[AcceptedEffect]) -> list[Run]:
+    """The runs that acceptances rest on and that are not voided, in the order measured."""
+    runs = _valid_runs(store, acceptances)
     if (n := sum(store.poses.count(run.id) for run in runs)) > MOST_POSES:
         raise Conflict(
             f"effects are fitted together over at most {MOST_POSES:,} poses, and those of run "
@@ -147,11 +177,12 @@ def _accepted(
             parameters={key: None if one is None else one["value"] for key, one in parameters.items()},
             runs=[run.id for run in runs],
             std=known_stds(parameters),
+            factor=factor,
             run_offset_std_deg=found.run_offset_std_deg,
             is_joint=True,
             is_partial=False,
         )
-        for name, parameters in found.effects
+        for (name, parameters), factor in zip(found.effects, found.factors, strict=True)
     ]
 
 

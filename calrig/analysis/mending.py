@@ -16,6 +16,7 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 
 from calrig.analysis.amendments import Records
+from calrig.analysis.errors import Conflict
 from calrig.analysis.results import refitted
 from calrig.analysis.revisions import EVERY_ENTRY, Issuer
 from calrig.analysis.stored_runs import counted_poses
@@ -127,7 +128,10 @@ def _mend_draft(store: Store, issuer: Issuer, unit: str, entry: Entry, fits: Fit
     if run is None:
         return []
     if entry.act.what in ("voided", "unvoided"):
-        Records(store, issuer).refit_effects(run, fits)
+        try:
+            Records(store, issuer).refit_effects(run, fits)
+        except Conflict as error:
+            return [_say(store, run, f"run {run.id}: {_IN_WORDS[entry.act.what]} was not completed: {error}")]
     if not issuer.lacks_draft(run.model_copy(update={"unit": unit})):
         return []
     why = f"completed at the start: {_IN_WORDS[entry.act.what]} (run {run.id}, audit log {entry.seq})"
@@ -157,5 +161,9 @@ def _told(store: Store, entry: Entry, run: Run, what: str) -> str:
         f"run {run.id}: {_IN_WORDS[entry.act.what]} on {entry.at:%Y-%m-%d %H:%M} UTC was interrupted before "
         f"{what} followed; it is completed now"
     )
+    return _say(store, run, says)
+
+
+def _say(store: Store, run: Run, says: str) -> str:
     store.trail.add(Act("mended", unit=run.unit, rig=run.rig, run_id=run.id, reason=says))
     return says

@@ -22,7 +22,7 @@ from calrig.calibration.plan_design import Goals
 from calrig.model.plan import Plan, Until
 from calrig.model.plan_design import Design, Estimate
 from calrig.runs.plan_designs import DesignInputs, DesignRequest, answer, question
-from calrig.runs.plan_estimates import estimate, goals_of, grid_says, require_reachable, wall_pace
+from calrig.runs.plan_estimates import estimate, goals_of, mounts_say, require_reachable, wall_pace
 from calrig.runs.rig import overdue_says
 
 router = APIRouter(tags=["runs"])
@@ -56,7 +56,7 @@ def estimate_plan(body: PlanOnRig, context: Context) -> Estimate:
     said = estimate(body.plan, rig, store)
     require_reachable(body.plan, rig, body.unit, store, kept_of(store, rig.name, maps))
     cannot = cannot_pass_on(rig, body.unit, body.plan, store, maps)
-    warnings = [*overdue_says(rig), *grid_says(body.plan), *cannot]
+    warnings = [*overdue_says(rig), *mounts_say(body.plan), *cannot]
     wall_s = wall_pace(rig, store) * said.duration_s
     return Estimate(**asdict(said), wall_s=wall_s, warnings=warnings)
 

@@ -147,6 +147,11 @@ def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> fl
     return max(0.0, fmean(beside_s[trimmed : len(beside_s) - trimmed]))
 
 
+SEATS_SAY = (
+    "In each mount, the unit's x axis must lie along the stage's axis to 0.5°: `accel_x` is not used, and with "
+    "seats askew by 2° two stated standard deviations cover about SHARE % instead of 95 %."
+)
+"""Counted by `python -m tests.studies.joint.beyond`."""
 FEW_ANGLES = 30
 """Of the dial: fewer do not tell the dozen orders that real axes have."""
 
@@ -167,9 +172,15 @@ class PlanEstimate:
     duration_s: float
 
 
-def grid_says(plan: Plan) -> list[str]:
-    """What a plan of several mounts on one grid of elevations leaves unseen; empty for any other."""
-    if len(plan.mounts_deg) < 2 or plan.jitter_deg or len(set(plan.elevations())) > FEW_ANGLES:
+def mounts_say(plan: Plan) -> list[str]:
+    """What a plan of several mounts cannot show, and what they must keep to; empty for any other."""
+    if len(plan.mounts_deg) < 2:
+        return []
+    return [*_grid_says(plan), *([SEATS_SAY] if plan.mount_axis[-1] == "x" else [])]
+
+
+def _grid_says(plan: Plan) -> list[str]:
+    if plan.jitter_deg or len(set(plan.elevations())) > FEW_ANGLES:
         return []
     return [
         f"Every mount stands at the same {len(set(plan.elevations()))} angles of the dial: what the stage "

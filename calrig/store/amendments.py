@@ -185,6 +185,7 @@ def _row(run: int, effect: AcceptedEffect, now: datetime) -> AcceptedEffectTable
     fit = {
         "runs": list(effect.runs),
         "std": dict(effect.std),
+        "factor": {name: list(row) for name, row in effect.factor.items()},
         "run_offset_std_deg": effect.run_offset_std_deg,
         "is_joint": effect.is_joint,
         "is_partial": effect.is_partial,
@@ -227,6 +228,7 @@ def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
         id=row.id,
         runs=fit.get("runs", ()),
         std=fit.get("std", {}),
+        factor=fit.get("factor", {}),
         run_offset_std_deg=fit.get("run_offset_std_deg"),
         is_joint=_is_joint(row),
         is_partial=fit.get("is_partial", False),

@@ -155,6 +155,8 @@ class AcceptedEffect:
     Attributes:
         runs: ids of the runs whose poses the parameters were fitted to.
         std: standard errors of the parameters, where they are known.
+        factor: of each parameter a row of the matrix L that has the covariance L·Lᵀ of all effects accepted
+            together; none where that is not known.
         run_offset_std_deg: standard deviation between days and clampings; None where it was not fitted.
         is_joint: the parameters are those of one model of all acceptances of the unit, fitted by calrig, not
             those of the diagnosis that was accepted.
@@ -171,6 +173,7 @@ class AcceptedEffect:
     id: int | None = field(default=None, compare=False)
     runs: Sequence[str] = ()
     std: Mapping[str, float] = field(default_factory=dict)
+    factor: Mapping[str, Sequence[float]] = field(default_factory=dict)
     run_offset_std_deg: float | None = None
     is_joint: bool = False
     is_partial: bool = False
@@ -188,7 +191,8 @@ def doubt_of(accepted: Sequence[AcceptedEffect], run_id: str | None = None) -> E
     """
     offsets_deg = [one.run_offset_std_deg or 0.0 for one in accepted]
     fitted_here = sum(len(one.std) for one in accepted if run_id is not None and run_id in one.rests_on)
-    return EffectDoubt([one.std for one in accepted], max(offsets_deg, default=0.0), fitted_here)
+    stds, factors = [one.std for one in accepted], [one.factor for one in accepted]
+    return EffectDoubt(stds, max(offsets_deg, default=0.0), fitted_here, factors)
 
 
 @dataclass(frozen=True, slots=True)

@@ -209,12 +209,57 @@ def test_a_run_without_poses_is_too_short_for_a_diagnosis_beside_effects_in_forc
         traced(list(lab.in_force().values()), [[]], ["none"])
 
 
-def test_a_run_that_counts_again_with_too_many_poses_for_one_model_leaves_a_state(lab, two, monkeypatch):
+def test_a_run_whose_effects_cannot_be_fitted_with_the_others_does_not_count_again(lab, two, monkeypatch):
+    """Those of single diagnoses would be in force together, and an offset counted twice."""
     first, _ = two
     lab.records.void(first.id, "a trial")
+    before = lab.in_force()
     monkeypatch.setattr(joint_model, "MOST_POSES", 30)
-    lab.records.unvoid(first.id, "it was right")
-    assert not any(one.is_joint for one in lab.in_force().values())
+    with pytest.raises(Conflict, match=r"at most 30 poses.*revoke"):
+        lab.records.unvoid(first.id, "it was right")
+    assert lab.in_force() == before
+    assert lab.store.runs.get(first.id).voided == "a trial"
+
+
+def test_effects_that_would_stay_without_a_common_fit_are_not_left_to_single_diagnoses(lab, two):
+    """Of the second run three poses count any more: what stays accepted cannot be fitted over both."""
+    first, second = two
+    third = lab.run(measured(np.random.default_rng(9), SECOND_C), OFFSET)
+    lab.acceptance.accept(third.id, [OFFSET])
+    result = lab.store.runs.get(second.id).result.to_dict()
+    for index in range(3, lab.store.poses.count(second.id)):
+        lab.store.amendments.exclude_pose(second.id, index, "the clamp slipped", result=result)
+    before = lab.in_force()
+    said = rf"(?s)cannot be fitted together.*{WARMTH} of run {second.id}.*Nothing was changed.*revoke"
+    with pytest.raises(Conflict, match=said):
+        lab.acceptance.take_back(third.id, [OFFSET], "not sure")
+    with pytest.raises(Conflict, match=said):
+        lab.records.void(third.id, "another unit")
+    assert lab.in_force() == before
+    lab.acceptance.take_back(second.id, [WARMTH], "three poses are too few")
+    lab.acceptance.take_back(third.id, [OFFSET], "not sure")
+    assert {tuple(one.rests_on) for one in lab.in_force().values()} == {(first.id,)}
+
+
+def test_a_first_acceptance_that_predicts_the_run_worse_is_refused_as_well(lab):
+    """Nothing warms up: the temperature term of the diagnosis is one of noise, in few poses."""
+    rng = np.random.default_rng(11)
+    steady = [
+        Pose.from_row({**pose.row(), "temperature_c": 25.0 + 0.001 * rng.standard_normal()})
+        for pose in measured(rng, (25.0, 25.0), sweeps=1)
+    ]
+    run = lab.run(steady, WARMTH)
+    with pytest.raises(Conflict, match=rf"would make run {run.id} worse.*from .*° to .*°.*more poses"):
+        lab.acceptance.accept(run.id, [WARMTH])
+    assert lab.in_force() == {}
+
+
+def test_the_stored_model_has_the_covariance_of_its_parameters(lab, two):
+    found = lab.in_force()
+    rows = {(name, key): np.array(row) for name, one in found.items() for key, row in one.factor.items()}
+    for (name, key), row in rows.items():
+        assert np.linalg.norm(row) == pytest.approx(found[name].std[key])
+    assert abs(rows[OFFSET, "y_mg"] @ rows[WARMTH, "deg_per_c"]) > 0.0
 
 
 def test_a_temperature_term_of_two_runs_promises_the_temperatures_of_both(lab, two):

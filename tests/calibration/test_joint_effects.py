@@ -170,3 +170,37 @@ def test_the_doubt_of_an_effect_does_not_wrap_with_the_bias_of_a_unit_upside_dow
         result = build_result(given, None, warmth, doubt=EffectDoubt([{"deg_per_c": 0.001}]))
         stds.append(result.line_with_effects.bias_std_deg)
     assert stds[1] == pytest.approx(stds[0], rel=1e-6)
+
+
+def test_a_line_less_fitted_effects_has_the_covariance_of_one_fit_of_all_parameters():
+    """Time and temperature rise together, so that the errors of both terms are correlated by −0.99."""
+    rng = np.random.default_rng(12)
+    theta = np.tile(np.linspace(-60.0, 60.0, 13), 8)
+    n = np.arange(len(theta))
+    celsius = 20.0 + 0.1 * n + 0.3 * rng.standard_normal(len(n))
+    reading = 0.4 + 1.002 * theta + 0.012 * (celsius - 20.0) + 0.01 * rng.standard_normal(len(n))
+    columns = np.column_stack([np.ones(len(n)), theta, celsius - 20.0, 5.0 * n])
+    coefficients = np.linalg.lstsq(columns, reading, rcond=None)[0]
+    covariance = np.linalg.inv(columns.T @ columns) * 0.01**2
+    effects = [
+        ("temperature_bias", {"deg_per_c": coefficients[2], "reference_c": 20.0}),
+        ("time_drift", {"deg_per_s": coefficients[3]}),
+    ]
+    poses = [
+        Pose(*map(float, row[:2]), temperature_c=float(row[2]), time_s=float(row[3]))
+        for row in zip(theta, reading, celsius, 5.0 * n, strict=True)
+    ]
+    factor = np.linalg.cholesky(covariance[2:, 2:])
+    stds = np.sqrt(np.diag(covariance))[2:]
+    names = ["deg_per_c", "deg_per_s"]
+    together = EffectDoubt(
+        [{name: std} for name, std in zip(names, stds.tolist(), strict=True)],
+        factors=[{name: row} for name, row in zip(names, factor.tolist(), strict=True)],
+    )
+    bare, with_both, alone = (
+        build_result(poses, effects=effects, doubt=doubt).line_with_effects.covariance[0][0]
+        for doubt in (None, together, EffectDoubt(together.stds))
+    )
+    own = float(np.linalg.inv(columns[:, :2].T @ columns[:, :2])[0, 0]) * 0.01**2
+    assert with_both - bare == pytest.approx(covariance[0, 0] - own, rel=1e-6)
+    assert alone - bare > 5.0 * (with_both - bare)

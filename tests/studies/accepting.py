@@ -147,7 +147,7 @@ def doubt_of(found: JointEffects) -> EffectDoubt:
         {name: one["std"] for name, one in parameters.items() if one is not None and one["std"] is not None}
         for _, parameters in found.effects
     ]
-    return EffectDoubt(stds, found.run_offset_std_deg or 0.0)
+    return EffectDoubt(stds, found.run_offset_std_deg or 0.0, factors=found.factors)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Count false alarms of verifications, and faults found: `python -m tests.studies.verifications [--runs N]`.
+"""Count false alarms of verifications, and faults found: `python -m tests.studies.verifications [--runs N] [--seed S]`.
 
 Runs are drawn by numpy alone: a line, a temperature coefficient, and noise that is a first-order
 autoregression from pose to pose. `before` is the test of earlier versions, by scipy: the sum of squares over
@@ -113,14 +113,16 @@ def main() -> None:
     """Print the table of `calrig/docs/validation/verifications.md`."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.verifications", description=__doc__)
     parser.add_argument("--runs", type=int, default=1000)
-    runs = parser.parse_args().runs
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    runs = asked.runs
     say = sys.stdout.write
     say("| calibrated → verified | temperature | noise | false alarms before | now | fault of 3 s found |\n")
     say("| --- | --- | --- | --- | --- | --- |\n")
     for calibrated, n in COUNTS:
         for warm in (False, True):
             for rho in CORRELATIONS:
-                one = counted(calibrated, n, rho, warm=warm, runs=runs)
+                one = counted(calibrated, n, rho, warm=warm, runs=runs, seed=asked.seed)
                 cells = [f"{count} of {runs}" for count in (one.alarms_before, one.alarms, one.found)]
                 where = "another" if warm else "the same"
                 say(f"| {calibrated} → {n} | {where} | AR {rho:g} | {' | '.join(cells)} |\n")

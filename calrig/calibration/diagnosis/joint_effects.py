@@ -44,9 +44,12 @@ from calrig.calibration.results.correction import (
 from calrig.calibration.results.pose_errors import angles_deg, circumstances
 from calrig.estimation.angles import FloatArray
 
+Parameters = dict[str, dict[str, float | None] | None]
 LEVEL = "reading.level"
 DEALS = 5
 """Of the poses into folds: of a run of a dozen poses one deal says more of chance than of the model."""
+SMALL = 1e-3
+"""Of a standard error: a step for derivatives."""
 MOST_GROWTH = 1.05
 """Of a run's error on held-out poses: what one more run's effects may make of it."""
 
@@ -77,10 +80,13 @@ class JointEffects:
         effects: of each its name, and `{"value", "std"}` by parameter (CONTRACT section 5).
         run_offset_std_deg: standard deviation of a run's level between days and clampings, beyond what the
             poses of a run scatter by; None of a single run.
+        factors: of each effect and each parameter with a standard error, a row of a matrix L. The parameters
+            of all effects have the covariance L·Lᵀ.
     """
 
-    effects: list[tuple[str, dict[str, dict[str, float | None] | None]]]
+    effects: list[tuple[str, Parameters]]
     run_offset_std_deg: float | None
+    factors: list[dict[str, list[float]]] = field(default_factory=list)
 
     @property
     def applied(self) -> list[AppliedEffect]:
@@ -116,7 +122,46 @@ class _Problem:
         names = [name for name in r.base_names if name != replaced(candidates)]
         levels = [k for k, name in enumerate(names) if name == LEVEL]
         between = _between_runs_deg(beta[levels], covariance[np.ix_(levels, levels)]) if levels else None
-        return JointEffects(effects, between)
+        factors = [] if chosen is not None else _factors(self.shared, own, beta, covariance, effects)
+        return JointEffects(effects, between, factors)
+
+
+def _factors(
+    shared: Sequence[Candidate],
+    own: Sequence[slice],
+    beta: FloatArray,
+    covariance: FloatArray,
+    effects: Sequence[tuple[str, Parameters]],
+) -> list[dict[str, list[float]]]:
+    """The rows of L (`JointEffects.factors`): stated errors, correlated as the coefficients are."""
+    known = [
+        [(name, std) for name, one in found.items() if one and (std := one["std"])] for _, found in effects
+    ]
+    places = [(k, name) for k, names in enumerate(known) for name, _ in names]
+    slopes = np.zeros((len(places), len(beta)))
+    for k, (one, at) in enumerate(zip(shared, own[: len(shared)], strict=True)):
+        rows = [row for row, (effect, _) in enumerate(places) if effect == k]
+        for column in range(at.start, at.stop):
+            step = np.zeros(len(beta))
+            step[column] = SMALL * math.sqrt(covariance[column, column])
+            ends = [
+                one.effect.documented(one.shape, (beta + side * step)[at], covariance[at, at])
+                for side in (0.5, -0.5)
+            ]
+            for row in rows:
+                above, below = (end[places[row][1]]["value"] for end in ends)
+                slopes[row, column] = (above - below) / step[column] if step[column] else 0.0
+    between = slopes @ covariance @ slopes.T
+    size = np.sqrt(np.diag(between))
+    alone = size == 0.0  # a place that was refined (a period) is no coefficient
+    correlation = between / np.outer(size + alone, size + alone) + np.diag(alone.astype(float))
+    values, vectors = np.linalg.eigh(correlation)
+    stds = np.array([std for names in known for _, std in names])
+    rows_of = (stds[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).tolist()
+    found: list[dict[str, list[float]]] = [{} for _ in effects]
+    for (k, name), row in zip(places, rows_of, strict=True):
+        found[k][name] = row
+    return found
 
 
 def fit_together(runs: Sequence[RunOfEffects], effects: Sequence[AppliedEffect]) -> JointEffects:
@@ -160,21 +205,23 @@ def held_out_growth(
 
     Args:
         runs: those that the effects of `before` rest on come first.
-        before: effects in force.
+        before: effects in force; none before the first acceptance.
         n_before: the number of these runs.
         after: all effects.
 
     Raises:
         DiagnosisError: as of `fit_together`.
     """
-    earlier, whole = _problem(runs[:n_before], before), _problem(runs, after)
+    earlier = _problem(runs[:n_before], before) if before else None
+    whole = _problem(runs, after)
     tests = [_TestedRun.of(run) for run in runs]
-    run_of, of_earlier = whole.responses.run, len(earlier.responses)
+    run_of = whole.responses.run
     errors = [(np.zeros((DEALS, len(one.theta_deg))), np.zeros((DEALS, len(one.theta_deg)))) for one in tests]
     for deal, k in product(range(DEALS), range(FOLDS)):
         fold = folds_of(whole.responses, deal)
         train = np.flatnonzero(fold != k)
-        models = earlier.fitted(train[train < of_earlier]).applied, whole.fitted(train).applied
+        given = [] if earlier is None else earlier.fitted(train[train < len(earlier.responses)]).applied
+        models = given, whole.fitted(train).applied
         for number, (one, found) in enumerate(zip(tests, errors, strict=True)):
             held_out = fold[run_of == number] == k
             for model, left in zip(models, found, strict=True):

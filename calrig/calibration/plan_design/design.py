@@ -104,8 +104,7 @@ def within(task: DesignProblem, time_s: float) -> Design:
 def ended(task: DesignProblem, goals: Goals, design: Design) -> Design:
     """A design as far as its run is expected to come, if that ends as soon as the goals are reached.
 
-    Its poses and uncertainties are those with which it ends where readings scatter as expected; its time is
-    the mean over runs, of which about half have more scatter by chance and go on.
+    Its number of poses, its time and its uncertainties are means over runs whose readings scatter by chance.
     """
     if not task.until:
         return design
@@ -121,9 +120,22 @@ def ended(task: DesignProblem, goals: Goals, design: Design) -> Design:
     scatter = np.sqrt(np.cumsum(squares, axis=1)[:, freedom - 1] / freedom)
     is_end = scatter <= allowed
     is_end[:, -1] = True
-    times_s = np.array([part.duration_s for part in parts])
-    expected_s = float(times_s[is_end.argmax(axis=1)].mean())
-    return replace(_first_good_enough(task, goals, design), duration_s=min(expected_s, design.duration_s))
+    end = is_end.argmax(axis=1)
+    counts = np.bincount(end, minlength=len(parts))
+    sums = np.bincount(end, scatter[np.arange(DRAWS), end], minlength=len(parts))
+    stated = [
+        (task.restated(parts[k], sums[k] / counts[k], caution(int(n_poses[k]))), counts[k] / DRAWS)
+        for k in np.flatnonzero(counts)
+    ]
+    expanded = [(part.expanded_deg, share) for part, share in stated]
+    return replace(
+        design,
+        elevations_deg=design.elevations_deg[: round(float(n_poses[end].mean()))],
+        duration_s=float(sum(share * part.duration_s for part, share in stated)),
+        expanded_deg=None if task.type_b is None else float(sum(share * (of or 0.0) for of, share in expanded)),
+        bias_std_deg=float(sum(share * part.bias_std_deg for part, share in stated)),
+        scale_std=float(sum(share * part.scale_std for part, share in stated)),
+    )
 
 
 def _parts(task: DesignProblem, design: Design) -> Iterator[Design]:

@@ -249,6 +249,17 @@ class DesignProblem:
             sweep=sweep,
         )
 
+    def restated(self, design: Design, ratio: float, cautioned: float) -> Design:
+        """The design where readings happen to scatter `ratio` times as much; `cautioned` as in `stated`."""
+        return self.stated(
+            list(design.elevations_deg),
+            design.dwell_s,
+            design.duration_s,
+            design.scatter_deg * ratio,
+            cautioned,
+            design.sweep,
+        )
+
 
 def rounded_up_s(dwell_s: float) -> float:
     """The next time that a plan names."""

@@ -43,11 +43,29 @@ class EffectDoubt:
         stds: of each effect, the standard errors of its parameters by name.
         run_offset_std_deg: between days and clampings; 0 where it is not known.
         fitted_here: parameters that were fitted to the very poses that the effects are taken out of.
+        factors: of each effect, by parameter, the rows of a matrix L, where their covariance is known as L·Lᵀ;
+            the parameters of an effect without rows are taken as uncorrelated.
     """
 
     stds: Sequence[Mapping[str, float]]
     run_offset_std_deg: float = 0.0
     fitted_here: int = 0
+    factors: Sequence[Mapping[str, Sequence[float]]] = ()
+
+    def steps(self) -> list[list[Mapping[str, float]]]:
+        """Changes of all parameters, by effect; the sum of their outer products is the covariance."""
+        factors = self.factors or [{} for _ in self.stds]
+        width = max((len(row) for rows in factors for row in rows.values()), default=0)
+        together: list[list[Mapping[str, float]]] = [
+            [{name: row[column] for name, row in rows.items()} for rows in factors] for column in range(width)
+        ]
+        alone: list[list[Mapping[str, float]]] = [
+            [{name: std} if one == k else {} for one in range(len(self.stds))]
+            for k, stds in enumerate(self.stds)
+            for name, std in stds.items()
+            if name not in factors[k]
+        ]
+        return together + alone
 
 
 class FittedResult(Result):
@@ -208,7 +226,7 @@ def _with_fewer_degrees(line: Line, n_poses: int, fitted: int) -> Line:
 
 
 def _doubted(line: Line, poses: Sequence[Pose], effects: Sequence[AppliedEffect], doubt: EffectDoubt) -> Line:
-    """The line with the standard errors of the effects in its covariance.
+    """The line with the covariance of the effects' parameters in its own.
 
     With X the columns of bias and scale, and Z those of the effects, whose parameters γ have the covariance
     P, the line fitted to the readings less Z·γ has s²·(XᵀX)⁻¹ + H·P·Hᵀ, H = (XᵀX)⁻¹XᵀZ. A fit of all of them
@@ -218,25 +236,23 @@ def _doubted(line: Line, poses: Sequence[Pose], effects: Sequence[AppliedEffect]
         return line
     theta, reading = angles_deg(poses)
     given, covariance = circumstances(poses), np.array(line.covariance)
-    for k, (name, values) in enumerate(effects):
-        for parameter, std in doubt.stds[k].items():
-            ends = [
-                fit_line_with_effects(
-                    theta,
-                    reading,
-                    [
-                        *effects[:k],
-                        (name, {**values, parameter: values[parameter] + side}),
-                        *effects[k + 1 :],
-                    ],
-                    given,
-                )
-                for side in (std, -std)
-            ]
-            (above, below) = (np.array([one.bias_deg, one.scale or 1.0]) for one in ends)
-            apart = above - below
-            apart[0] = wrap_deg(apart[0])
-            covariance += np.outer(apart, apart) / 4.0
+    for step in doubt.steps():
+        ends = [
+            fit_line_with_effects(
+                theta,
+                reading,
+                [
+                    (name, {**values, **{key: values[key] + side * by for key, by in one.items()}})
+                    for (name, values), one in zip(effects, step, strict=True)
+                ],
+                given,
+            )
+            for side in (1.0, -1.0)
+        ]
+        (above, below) = (np.array([one.bias_deg, one.scale or 1.0]) for one in ends)
+        apart = above - below
+        apart[0] = wrap_deg(apart[0])
+        covariance += np.outer(apart, apart) / 4.0
     covariance[0, 0] += doubt.run_offset_std_deg**2
     (of_bias, shared), (_, of_scale) = covariance.tolist()
     return replace(

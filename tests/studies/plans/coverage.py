@@ -38,6 +38,7 @@ class Covered:
     """Over many runs: the share that ended early, poses taken, and shares inside of what was stated.
 
     Of one later reading inside of the expanded uncertainty, of bias and scale inside of two standard errors.
+    `expanded_deg` is the mean of what they state.
     """
 
     early: float
@@ -45,6 +46,7 @@ class Covered:
     elevation: float
     bias: float
     scale: float
+    expanded_deg: float
 
 
 def covered(
@@ -80,14 +82,16 @@ def covered(
         assert result.over_range and result.bias_std_deg and result.scale and result.scale_std
         at_deg = rng.uniform(-60.0, 60.0)
         read_deg = at_deg + SCATTER_DEG * rng.standard_normal()
+        expanded_deg = result.over_range.expanded_uncertainty_deg or 0.0
         off_deg = (read_deg - result.bias_deg) / result.scale - at_deg
         rows.append(
             (
                 len(poses) < len(planned),
                 len(poses),
-                abs(off_deg) <= (result.over_range.expanded_uncertainty_deg or 0.0),
+                abs(off_deg) <= expanded_deg,
                 abs(result.bias_deg) <= 2.0 * result.bias_std_deg,
                 abs(result.scale - 1.0) <= 2.0 * result.scale_std,
+                expanded_deg,
             )
         )
     return Covered(*np.mean(rows, axis=0).tolist())
