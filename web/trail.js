@@ -95,7 +95,7 @@ const INTACT = "Hash chain intact: no entry was changed or removed.";
 function row({ seq, at, who, what, unit, rig, run_id: run, revision, reason, detail }) {
   const action = `${WORDS[what]}${details(what, detail)}${revision ? `, revision ${revision}` : ""}`;
   const about = [unit ? unitLink(unit) : (rig ?? "–"), run ? runLink(run) : "–"];
-  return tableRow(moment(at), [who ?? "–", action, ...about, reason ?? detail.note ?? "–"], { "data-entry": seq });
+  return tableRow(moment(at), [who ?? "–", action, ...about, h("td", { class: "wrap" }, reason ?? detail.note ?? "–")], { "data-entry": seq });
 }
 
 function details(what, { pose, effects, from, to, name, role }) {
