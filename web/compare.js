@@ -75,7 +75,7 @@ function summary({ units, spread, repeatability }, draw) {
         largestChange(one),
         [day(one.due_at), one.overdue && tag("overdue")],
         ...(one.in_force ? inForceCells(one.in_force) : [h("td", { colspan: "4", class: "muted" }, "none in force")]),
-        ...(latest ? runCells(latest) : [h("td", { colspan: "3", class: "muted" }, "no valid completed run")]),
+        ...(latest ? runCells(latest) : [h("td", { colspan: "2", class: "muted" }, "no valid completed run")]),
         numberCell(one.runs.length.toLocaleString()),
         numberCell(isKnown(one.drift_deg_per_day) ? significant(one.drift_deg_per_day, 2, "°/day") : "–"),
       ],
@@ -135,13 +135,12 @@ function inForceCells(one) {
   ];
 }
 
-const OF_RUN = ["Latest run", "#RMS error, raw", "#Temperature"];
+const OF_RUN = ["Latest run", "#RMS error, raw"];
 
 function runCells(run) {
   return [
     h("td", {}, day(run.finished_at)),
     numberCell(significant(run.rms_raw_deg, 3, "°")),
-    numberCell(range(run.temperature_c?.min, run.temperature_c?.max, 1, "°C")),
   ];
 }
 
