@@ -117,20 +117,20 @@ export class Calibrations {
         [
           statusPill(one.status.replace("_", " "), { "data-status": one.status }),
           [moment(one.issued_at), one.issued_by && ` by ${one.issued_by}`],
-          runLink(one.run_id, "run "),
-          h("td", {}, rowFigures(one)),
+          runLink(one.run_id),
+          h("td", { class: "result" }, rowFigures(one)),
           h(
             "td",
             { class: "wrap" },
             paragraphs([one.reason, ...one.warnings, ...one.acts.map(actInWords), ...one.stale].filter(Boolean)),
           ),
-          h("td", { class: "buttons" }, this.#actions(one, current)),
+          h("td", {}, h("div", { class: "buttons" }, this.#actions(one, current))),
         ],
         { class: one.status === "withdrawn" && "voided", "data-revision": one.revision },
       ),
     );
-    const names = ["Revision", "Status", "Issued", "From", "Result", "Reasons and warnings", ""];
-    return dataTable("Revisions of this unit's calibration", names, rows, { id: "revisions-table" });
+    const names = ["Revision", "Status", "Issued", "From run", "Result", "Reasons and warnings", ""];
+    return dataTable("Revisions of this unit's calibration", names, rows, { id: "revisions-table", class: "dense" });
   }
 
   #actions(one, current) {

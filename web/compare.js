@@ -2,8 +2,8 @@
 
 import { get } from "./api.js";
 import { Chart, NONE_VALID } from "./charts.js";
-import { card, dataTable, fill, h, numberCell, runLink, suspectTag, tableRow, unitLink } from "./dom.js";
-import { isKnown, moment, plusMinus, range, significant } from "./format.js";
+import { card, dataTable, fill, h, NO_UNITS, numberCell, runLink, suspectTag, tableRow, unitLink } from "./dom.js";
+import { day, isKnown, moment, plusMinus, range, significant } from "./format.js";
 
 const CHARTS = [
   ["residuals", "Residual of each unit's latest run, plain fit"],
@@ -42,7 +42,7 @@ export async function compareView({ root, query, signal }) {
 }
 
 function picker(units, chosen) {
-  if (!units.length) return h("p", { class: "card muted" }, "No units yet. A unit appears with its first run.");
+  if (!units.length) return h("p", { class: "card muted" }, NO_UNITS);
   const boxes = units.map(({ serial }) => h("input", { type: "checkbox", value: serial, checked: chosen.includes(serial) }));
   const labels = boxes.map((box) => h("label", {}, box, h("span", { class: "serial" }, box.value)));
   const form = h(
@@ -73,9 +73,9 @@ function summary({ units, spread, repeatability }, draw) {
       [colours.get(one.unit), unitLink(one.unit), one.changed && tag("changed")],
       [
         largestChange(one),
-        [one.due_at ? moment(one.due_at) : "–", one.overdue && tag("overdue")],
+        [day(one.due_at), one.overdue && tag("overdue")],
         ...(one.in_force ? inForceCells(one.in_force) : [h("td", { colspan: "4", class: "muted" }, "none in force")]),
-        ...(latest ? runCells(latest) : [h("td", { colspan: "3", class: "muted" }, "no valid completed run")]),
+        ...(latest ? runCells(latest) : [h("td", { colspan: "2", class: "muted" }, "no valid completed run")]),
         numberCell(one.runs.length.toLocaleString()),
         numberCell(isKnown(one.drift_deg_per_day) ? significant(one.drift_deg_per_day, 2, "°/day") : "–"),
       ],
@@ -89,6 +89,7 @@ function summary({ units, spread, repeatability }, draw) {
     colours.size > 0 && h("p", { class: "muted" }, COLOUR_HINT),
     dataTable("Units compared", ["Unit", "Change between runs", "Due", ...IN_FORCE, ...OF_RUN, "#Runs", "#Bias drift"], rows, {
       id: "compare-table",
+      class: "dense",
     }),
     h(
       "div",
@@ -134,13 +135,12 @@ function inForceCells(one) {
   ];
 }
 
-const OF_RUN = ["Latest run", "#RMS error, raw", "#Temperature"];
+const OF_RUN = ["Latest run", "#RMS error, raw"];
 
 function runCells(run) {
   return [
-    h("td", {}, moment(run.finished_at)),
+    h("td", {}, day(run.finished_at)),
     numberCell(significant(run.rms_raw_deg, 3, "°")),
-    numberCell(range(run.temperature_c?.min, run.temperature_c?.max, 1, "°C")),
   ];
 }
 

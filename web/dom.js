@@ -133,9 +133,30 @@ export function warningBox(sentences, testid) {
   return h("div", { class: "cautions", "data-testid": testid }, h("h3", {}, "Warnings"), bullets(sentences));
 }
 
-/** A table in a box of its own that scrolls sideways on a narrow screen, also by keyboard. */
+/**
+ * A table in a box of its own that scrolls if it is long, also by keyboard. On a narrow screen its rows are cards
+ * (views.css), in which each cell shows its heading.
+ */
 export function tableBox(label, table) {
+  if (table instanceof HTMLTableElement) keepLabelled(table);
   return h("div", { class: "table-box", role: "region", "aria-label": `Table: ${label}`, tabindex: "0" }, table);
+}
+
+/** Gives each cell its heading as `data-label`, also in rows that come later. */
+function keepLabelled(table) {
+  const names = [...(table.tHead?.rows[0]?.cells ?? [])].flatMap((cell) => Array(cell.colSpan).fill(cell.textContent));
+  const label = () => {
+    for (const row of [...table.tBodies].flatMap((body) => [...body.rows])) {
+      if (!row.cells.length || "label" in row.cells[0].dataset) continue;
+      let place = 0;
+      for (const cell of row.cells) {
+        cell.dataset.label = cell.colSpan === 1 ? (names[place] ?? "") : "";
+        place += cell.colSpan;
+      }
+    }
+  };
+  label();
+  new MutationObserver(label).observe(table, { childList: true, subtree: true });
 }
 
 /** A table with headings in such a box; `rows` are its rows, or its body. */
@@ -148,6 +169,9 @@ export function tableRow(head, cells, props = {}) {
   const cell = (one) => (one instanceof HTMLTableCellElement ? one : h("td", {}, one));
   return h("tr", props, h("th", { scope: "row" }, head), cells.map(cell));
 }
+
+/** In place of a list of units that has none. */
+export const NO_UNITS = "No units yet. A unit appears with its first run: calibrate one, or import its poses.";
 
 export const numberCell = (text) => h("td", { class: "number" }, text);
 

@@ -61,13 +61,18 @@ export function duration(seconds) {
 
 const MOMENT = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
 
+const DAY = new Intl.DateTimeFormat(undefined, { dateStyle: "medium" });
+
+/** The day of a moment, where the hour does not matter; otherwise as `moment`. */
+export const day = (iso) => moment(iso, DAY);
+
 /** A moment in the reader's own time zone; the exact UTC stays in `datetime` and the tooltip. */
-export function moment(iso) {
+export function moment(iso, format = MOMENT) {
   if (!iso) return document.createTextNode("–");
   const element = document.createElement("time");
   element.dateTime = iso;
   element.title = iso;
-  element.textContent = MOMENT.format(new Date(iso));
+  element.textContent = format.format(new Date(iso));
   return element;
 }
 

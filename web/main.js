@@ -13,7 +13,7 @@ import { preferRig, stopButtons } from "./stop.js";
 const ROUTES = [
   [/^\/$/, startView],
   [/^\/runs\/([^/]+)$/, async (shown) => (await import("./run.js")).runView(shown)],
-  [/^\/units$/, async (shown) => (await import("./units.js")).unitsView(shown)],
+  [/^\/units$/, async (shown) => (await import("./unitlist.js")).unitsView(shown)],
   [/^\/units\/([^/]+)$/, async (shown) => (await import("./units.js")).unitView(shown)],
   [/^\/compare$/, async (shown) => (await import("./compare.js")).compareView(shown)],
   [/^\/limits$/, async (shown) => (await import("./limits.js")).limitsView(shown)],

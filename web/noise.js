@@ -74,7 +74,7 @@ async function listStudies(place, signal) {
     tableRow(h("a", { href: `#/noise?study=${encodeURIComponent(id)}` }, file), [KINDS[kind], moment(at), by ?? "–"]),
   );
   const table = dataTable("Files analysed", ["File", "Analysis", "When", "By"], rows, { id: "studies-table" });
-  fill(place, rows.length ? table : h("p", { class: "muted" }, "None yet. Results are stored here, the files are not."));
+  fill(place, rows.length ? table : h("p", { class: "muted" }, "None yet. Analyse a file above. Results are stored here, the files are not."));
   place.hidden = false; // empty, it has no name
 }
 

@@ -7,6 +7,7 @@ import { headline, verifiedRms } from "./headline.js";
 import { runFilters, verdictWords } from "./runfilters.js";
 
 const PAGE = 20;
+const NO_RUNS = ["No runs yet. Start a calibration above, or ", h("a", { href: "#/import" }, "import poses"), "."];
 const KINDS = { sweep: "sweep", verification: "verification", static: "static log" };
 
 /** The kind of a run that is not a calibration by dwells on a rig. */
@@ -106,7 +107,7 @@ export function runList(rigs, query, signal) {
   function outcome({ backTo }) {
     if (cursor && isStopped) return ["Stopped at runs of ", moment(backTo), "."];
     if (body.childElementCount) return null;
-    return filters.isAny() ? "No runs yet." : "No run matches.";
+    return filters.isAny() ? NO_RUNS : "No run matches.";
   }
 
   /** Reloads the first page, unless a search is in progress, which would never reach older runs. */

@@ -135,7 +135,7 @@ function runTable(runs) {
 }
 
 function earlier(solutions) {
-  if (!solutions.length) return h("p", { class: "muted" }, "None yet.");
+  if (!solutions.length) return h("p", { class: "muted" }, "No solution yet. Tick runs above and solve them.");
   const rows = solutions.map((one) =>
     tableRow(
       [h("a", { href: `#/solve/${one.id}` }, moment(one.created_at)), one.by && ` by ${one.by}`],
@@ -164,7 +164,7 @@ function anglesOf({ plan }) {
 
 /** The ids to tick and the reason: those that the address names, else those of the unit with the most mounts. */
 function suggested(runs, { runs: named, unit }) {
-  if (!runs.length) return { ids: [], says: "No valid completed run yet." };
+  if (!runs.length) return { ids: [], says: "No valid completed run here yet. Calibrate a unit at two or more mounting angles." };
   if (named.length) {
     const ids = named.filter((id) => runs.some((run) => run.id === id));
     const missing = named.length - ids.length;

@@ -8,6 +8,7 @@ export class Timeline {
   constructor(chart, figure, signal) {
     this.chart = chart;
     this.figure = figure;
+    this.scale = figure.layout.meta.time_scale; // of the rig's clocks; the axis is time on the wall
     this.time = [];
     this.stage = [];
     this.reading = [];
@@ -15,7 +16,7 @@ export class Timeline {
   }
 
   add({ time_s, stage_deg, reading_deg }) {
-    this.time.push(time_s);
+    this.time.push(time_s / this.scale);
     this.stage.push(stage_deg);
     this.reading.push(reading_deg);
     if (this.time.length > MOST_POINTS) this.#thin();

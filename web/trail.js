@@ -49,6 +49,7 @@ export async function trailView({ root, query, signal }) {
   const body = h("tbody");
   const state = h("p", { id: "trail-state", role: "status" });
   const more = h("button", { type: "button", hidden: true, on: { click: () => load(last) } }, "Show older entries");
+  const none = h("p", { id: "trail-none", class: "muted" });
   const error = errorLine("trail-error");
   let last = null;
   let asked = 0;
@@ -63,6 +64,7 @@ export async function trailView({ root, query, signal }) {
       if (mine !== asked) return; // superseded by a later request
       if (after) body.append(...entries.map(row));
       else fill(body, entries.map(row));
+      fill(none, !body.childElementCount && (wanted.unit || wanted.what ? "No entry matches." : NONE));
       last = entries.at(-1)?.seq;
       more.hidden = entries.length < PAGE;
       fill(state, intact ? INTACT : `Hash chain broken at entry ${brokenAt}: it was changed, or an earlier entry is missing.`);
@@ -84,18 +86,20 @@ export async function trailView({ root, query, signal }) {
       error.element,
       state,
       dataTable("Audit log", ["When", "Who", "What", "Unit", "Run", "Why"], body, { id: "trail-table" }),
+      none,
       more,
     ),
   );
   await load(null);
 }
 
+const NONE = "No entries yet. Each run, import, release and correction adds one.";
 const INTACT = "Hash chain intact: no entry was changed or removed.";
 
 function row({ seq, at, who, what, unit, rig, run_id: run, revision, reason, detail }) {
   const action = `${WORDS[what]}${details(what, detail)}${revision ? `, revision ${revision}` : ""}`;
   const about = [unit ? unitLink(unit) : (rig ?? "–"), run ? runLink(run) : "–"];
-  return tableRow(moment(at), [who ?? "–", action, ...about, reason ?? detail.note ?? "–"], { "data-entry": seq });
+  return tableRow(moment(at), [who ?? "–", action, ...about, h("td", { class: "wrap" }, reason ?? detail.note ?? "–")], { "data-entry": seq });
 }
 
 function details(what, { pose, effects, from, to, name, role }) {

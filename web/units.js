@@ -1,9 +1,8 @@
-// The list of units, and one unit with its history.
+// One unit with its history.
 
 import { get, post, remove, serviceError } from "./api.js";
 import { confirmButton } from "./ask.js";
 import { Calibrations } from "./calibrations.js";
-import { certificateSearch } from "./certificate.js";
 import { Chart, NONE_VALID } from "./charts.js";
 import {
   attempt,
@@ -18,37 +17,11 @@ import {
   select,
   solveHref,
   statusPill,
-  tableRow,
-  unitLink,
 } from "./dom.js";
 import { fixed, isKnown, moment, plural, plusMinus, significant } from "./format.js";
 import { LongWork } from "./longwork.js";
 import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
-
-export async function unitsView({ root, signal }) {
-  const units = await get("/api/units", signal);
-  const rows = units.map((unit) =>
-    tableRow(unitLink(unit.serial), [
-      numberCell(unit.n_runs.toLocaleString()),
-      moment(unit.last_run_at),
-      [moment(unit.due_at), unit.overdue && h("span", { class: "tag warns" }, "overdue")],
-    ]),
-  );
-  fill(
-    root,
-    h("h1", {}, "Units"),
-    h(
-      "section",
-      { class: "card" },
-      units.length
-        ? dataTable("Units", ["Unit", "#Runs", "Last run", "Due"], rows, { id: "units-table" })
-        : h("p", { class: "muted" }, "No units yet. A unit appears with its first run."),
-      units.length > 1 && h("p", { class: "downloads" }, h("a", { href: "#/compare" }, "Compare units")),
-    ),
-    units.length > 0 && card("find-certificate", "Find a certificate", certificateSearch(signal)),
-  );
-}
 
 export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;

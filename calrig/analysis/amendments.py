@@ -15,6 +15,7 @@ from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run
 from calrig.analysis.unit_of_work import Fits, in_one_transaction
 from calrig.export.poses_csv import CsvError
 from calrig.model.plan import CALIBRATING
+from calrig.run_ids import short_name
 from calrig.store import Run, Store
 from calrig.store.records import Document
 
@@ -101,7 +102,7 @@ class Records:
             ended_run(self._store, run_id)
             run = self._store.amendments.void(run_id, why, who=who)
             self.refit_effects(run, fits)
-            return self._done(run, who, f"run {run_id} was voided: {why}")
+            return self._done(run, who, f"run {short_name(run_id)} was voided: {why}")
 
         return in_one_transaction(self._store, change)
 
@@ -117,7 +118,7 @@ class Records:
             stored_run(self._store, run_id)
             run = self._store.amendments.unvoid(run_id, why, who=who)
             self.refit_effects(run, fits)
-            return self._done(run, who, f"run {run_id} counts again: {why}")
+            return self._done(run, who, f"run {short_name(run_id)} counts again: {why}")
 
         return in_one_transaction(self._store, change)
 
@@ -175,7 +176,7 @@ class Records:
             {one.id: self._result_for(one, unit) for one in moving}, unit, why, who=who
         )
         for one in moving:
-            said = f"run {one.id} was moved from unit {one.unit} to unit {unit}: {why}"
+            said = f"run {short_name(one.id)} was moved from unit {one.unit} to unit {unit}: {why}"
             self._done(one, who, said)
             self._done(stored_run(self._store, one.id), who, said)
         return stored_run(self._store, run_id)
@@ -194,14 +195,14 @@ class Records:
         with self._store.transaction():
             result = self._result_of(run_id, index, counts=False)
             run = self._store.amendments.exclude_pose(run_id, index, why, result=result, who=who)
-            return self._done(run, who, f"pose {index} of run {run_id} was excluded: {why}")
+            return self._done(run, who, f"pose {index} of run {short_name(run_id)} was excluded: {why}")
 
     def include_pose(
         self, run_id: str, index: int, reason: str | None = None, *, who: str | None = None
     ) -> Run:
         """Has an excluded pose count again in the result, which is computed again."""
         why = None if reason is None else checked_reason(reason)
-        said = f"pose {index} of run {run_id} counts again"
+        said = f"pose {index} of run {short_name(run_id)} counts again"
         with self._store.transaction():
             result = self._result_of(run_id, index, counts=True)
             run = self._store.amendments.include_pose(run_id, index, why, result=result, who=who)

@@ -29,6 +29,7 @@ from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_document import line_of
 from calrig.model.plan import CALIBRATING
 from calrig.model.result import Gyro, ReferenceFigures, Result
+from calrig.run_ids import short_name
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
 from calrig.store.records import Document, reference_of
@@ -97,13 +98,13 @@ def changed_since(
     """What a revision rests on that has changed since it was made, a sentence each."""
     said = []
     if run.voided is not None:
-        said.append(f"Run {run.id} has been voided: {run.voided.reason}")
+        said.append(f"Run {short_name(run.id)} has been voided: {run.voided.reason}")
     if run.unit != revision.unit:
-        said.append(f"Run {run.id} belongs to unit {run.unit} now.")
+        said.append(f"Run {short_name(run.id)} belongs to unit {run.unit} now.")
         return said
     if sorted(excluded) != revision.basis["excluded"]:
         then, now = _poses(revision.basis["excluded"]), _poses(excluded)
-        said.append(f"Poses of run {run.id} excluded when it was issued: {then}; now: {now}.")
+        said.append(f"Poses of run {short_name(run.id)} excluded when it was issued: {then}; now: {now}.")
     used, now_accepted = revision.basis["effects"], {str(e.id): e for e in accepted}
     chosen = revision.basis["chosen"]
     gone = sorted(name for key, name in used.items() if key not in now_accepted)

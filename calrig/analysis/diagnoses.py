@@ -26,6 +26,7 @@ from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression import ApplyError, DiagnosisRequest
 from calrig.calibration.results import own_effect, poses_without_effects
+from calrig.run_ids import short_name
 from calrig.store import AcceptedEffect, Store
 from calrig.store.records import Run
 
@@ -191,7 +192,7 @@ class Acceptance:
             accepted += _accepted_of(run, found)
         joint = joint_of_accepting(self._store, run.unit, accepted, fits)
         self._store.effects.accept(run_id, accepted, joint, who=who)
-        return self._refit(run_id, who, f"accepted from run {run_id}: {_listed(names)}")
+        return self._refit(run_id, who, f"accepted from run {short_name(run_id)}: {_listed(names)}")
 
     def take_back(self, run_id: str, names: Sequence[str], reason: str, *, who: str | None = None) -> Run:
         """Takes effects that were accepted from a run out of force; an earlier acceptance is in force again.
@@ -212,7 +213,7 @@ class Acceptance:
             if one.run_id != run_id or one.name not in names
         ]
         self._store.effects.revoke(run_id, names, why, joint_of_rest(self._store, left, fits), who=who)
-        return self._refit(run_id, who, f"{_listed(names)} of run {run_id} taken back: {why}")
+        return self._refit(run_id, who, f"{_listed(names)} of run {short_name(run_id)} taken back: {why}")
 
     def _refit(self, run_id: str, who: str | None, why: str) -> Run:
         """Fit a run's result again with what is in force now, and make its unit's next draft."""

@@ -1,9 +1,8 @@
-"""Use cases of limits: replace them, check whether a plan can pass them, search runs by verdict."""
+"""Use cases of limits: replace them and check whether a plan can pass them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from types import MappingProxyType
 
 import numpy as np
@@ -17,10 +16,7 @@ from calrig.model.result import Reference
 from calrig.model.verdict import Limit
 from calrig.settings import LimitSettings, RigSettings, Settings
 from calrig.store import Store
-from calrig.store.errors import StoreError
 from calrig.store.records import Document
-from calrig.store.runs import Sought
-from calrig.store.verdicts import Judged, RunPage
 
 
 def limit_of(given: LimitSettings) -> Limit:
@@ -89,21 +85,3 @@ def cannot_pass_on(
         if in_force.covers(theta_deg).all():
             reference = map_reference(in_force, theta_deg, theta_deg, np.zeros(len(theta_deg)))
     return cannot_pass(limit, reference, theta_deg)
-
-
-def found_runs(
-    store: Store, sought: Sought, judged: Judged | None, limit: int, cursor: str | None
-) -> RunPage:
-    """Return a page of runs as `Store.runs.search` does; with a verdict a short page need not be the last.
-
-    Raises:
-        ValueError: as there.
-    """
-    if judged is None:
-        items, next_cursor = store.runs.search(sought, limit=limit, cursor=cursor)
-        return RunPage(items, next_cursor, items[-1].created_at if items else None)
-    found = store.verdicts.judged_runs(sought, judged, limit=limit, cursor=cursor)
-    if found.judged_whole:
-        with suppress(StoreError):  # it only makes the next search faster
-            store.verdicts.judge(found.judged_whole)
-    return found

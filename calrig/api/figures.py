@@ -1,6 +1,7 @@
 """The page's pictures in plotly's JSON form, drawn by `calrig.figures`."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query
@@ -65,7 +66,19 @@ def _timeline(context: ApiContext, run: Run) -> figures.Figure:
         for stored in batch
         if stored.pose.time_s is not None
     ]
-    return figures.timeline(*([row[place] for row in rows] for place in range(3)))
+    time_s, stage_deg, reading_deg = ([row[place] for row in rows] for place in range(3))
+    return figures.timeline(time_s, stage_deg, reading_deg, _time_scale(context, run))
+
+
+def _time_scale(context: ApiContext, run: Run) -> float:
+    """Return the seconds of a run's clocks for one on the wall, as stored with it, else as configured."""
+    if run.rig is None or run.plan is None:
+        return 1.0
+    stated = (run.provenance.get("rig") or {}).get("time_scale")
+    if stated is None:
+        with suppress(Unknown):
+            stated = context.service.known_rig(run.rig).time_scale
+    return float(stated or 1.0)
 
 
 def _readings(context: ApiContext, run_id: str) -> Iterator[Document]:

@@ -42,7 +42,7 @@ def poses(
 ) -> Any:
     """JSON has all; CSV (`format=csv` or `Accept: text/csv`) is the import format, without excluded poses."""
     # Tens of thousands of them, straight from the store: a test holds them to the model.
-    if format == "csv" or (format is None and _prefers_csv(accept)):
+    if format == "csv" or (format is None and prefers_csv(accept)):
         return _streamed(
             write_pose_batches(partial(_counted, context, run), labels_of(run)),
             CSV,
@@ -94,7 +94,7 @@ def _pose(stored: StoredPose, residual_deg: float | None, run: Run) -> dict[str,
     }
 
 
-def _prefers_csv(accept: str) -> bool:
+def prefers_csv(accept: str) -> bool:
     """Whether CSV is the first that an Accept header names of the two types there are."""
     named = [part.split(";")[0].strip().lower() for part in accept.split(",")]
     offered = [name for name in named if name in {"text/csv", "application/json"}]

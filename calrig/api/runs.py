@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Annotated
 
@@ -15,7 +14,7 @@ from pydantic import Field
 import calrig
 from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.errors import Invalid
-from calrig.analysis.limits import found_runs
+from calrig.analysis.run_search import found_runs, moment_of
 from calrig.api.access import Who, requires
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.errors import problems
@@ -175,8 +174,8 @@ def list_runs(
         status=status,
         begins=begins,
         text=q or None,
-        since=_moment(since, "from"),
-        before=_moment(until, "to"),
+        since=moment_of(since, "from"),
+        before=moment_of(until, "to"),
         kind=kind,
         follows=follows,
     )
@@ -187,19 +186,6 @@ def list_runs(
     if found.back_to is not None:
         response.headers[BACK_TO] = iso_utc(found.back_to)
     return {"items": with_doubts(context.store, found.items), "next_cursor": found.next_cursor}
-
-
-def _moment(said: str | None, name: str) -> datetime | None:
-    """A time without a zone is UTC's; a day is all of it: from its beginning, or to its end."""
-    if said is None:
-        return None
-    try:
-        at = datetime.fromisoformat(said)
-        if len(said) == len("2026-11-22") and name == "to":
-            at += timedelta(days=1)
-        return at.astimezone(UTC) if at.tzinfo else at.replace(tzinfo=UTC)
-    except (ValueError, OverflowError) as error:
-        raise Invalid(f"{name}: {said[:40]!r} is neither a day nor a time (ISO 8601)", [name]) from error
 
 
 @router.get("/api/runs/{run_id}", response_model=RunAnswer, responses=problems(404), summary="One run")

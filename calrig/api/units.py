@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
 from datetime import date
 from itertools import chain
 from typing import Annotated, ClassVar, Literal
 from unicodedata import category
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Header, Query
 from fastapi.responses import Response, StreamingResponse
 from pydantic import Field, field_validator
 
 from calrig.analysis.certificates import archive_of
 from calrig.analysis.check_standard import with_doubts
+from calrig.analysis.histories import histories
+from calrig.analysis.unit_list import (
+    UnitChange,
+    UnitDue,
+    UnitFilter,
+    UnitVerdict,
+    listed_units,
+    units_csv,
+)
 from calrig.api.access import Who, requires
 from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import problems, problems_in_json
+from calrig.api.measurements import prefers_csv
 from calrig.api.models import Body, UnitAnswer, UnitWithRuns
 from calrig.model.base import Model
 from calrig.store.units import CalibrationItem
@@ -133,11 +142,37 @@ def show_archive(unit: KnownUnit, context: Context) -> Response:
 
 
 # Last: their paths would take those above for parts of a serial number.
-@router.get("/api/units", response_model=list[UnitAnswer], summary="Every unit, by serial number")
-def list_units(context: Context) -> object:
-    """How often each was on a rig, when last, and when it is due again."""
-    due = context.due_dates()
-    return [{**asdict(unit), **due.of(unit.serial).to_dict()} for unit in context.store.units.all()]
+CSV = "text/csv; charset=utf-8"
+
+
+@router.get(
+    "/api/units",
+    response_model=list[UnitAnswer],
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}, **problems(422)},
+    summary="Every unit, by serial number",
+)
+def list_units(
+    context: Context,
+    q: Annotated[str | None, Query(max_length=200, description="Part of the serial, in any case.")] = None,
+    verdict: Annotated[UnitVerdict | None, Query(description="Of the revision in force.")] = None,
+    due: UnitDue | None = None,
+    change: UnitChange | None = None,
+    format: Literal["json", "csv"] | None = None,
+    accept: Annotated[str, Header()] = "",
+) -> object:
+    """Each with its revision in force, its latest calibration, the last change, and when it is due.
+
+    `due=soon` is within 30 days, `due=none` without a date; `verdict=none` without a revision in force.
+    `format=csv` or `Accept: text/csv` gives a table with the same names.
+    """
+    found = histories(context.store)
+    units = listed_units(context.store, found, context.due_dates(found))
+    wanted = UnitFilter(q or None, verdict, due, change)
+    kept = [unit for unit in units if wanted.takes(unit)]
+    if format == "csv" or (format is None and prefers_csv(accept)):
+        headers = {"Content-Disposition": 'attachment; filename="units.csv"'}
+        return Response(units_csv(kept), media_type=CSV, headers=headers)
+    return [unit.to_dict() for unit in kept]
 
 
 @router.get(
@@ -147,12 +182,12 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
     """With all its runs, newest first."""
     runs, _ = context.store.runs.page(unit=unit.serial, limit=EVERY_RUN)
     in_force = context.store.revisions.in_force(unit.serial)
+    found = histories(context.store, [unit.serial])
+    (listed,) = listed_units(context.store, found, context.due_dates(found, [unit.serial]), [unit.serial])
     return {
-        **asdict(unit),
-        **context.due_dates(serials=[unit.serial]).of(unit.serial).to_dict(),
+        **listed.to_dict(),
         "runs": with_doubts(context.store, runs),
         "active_run_id": in_force and in_force.run_id,
-        "revision_in_force": in_force and in_force.revision,
     }
 
 

@@ -22,6 +22,7 @@ from calrig.cli import (
     records,
     rigs,
     run,
+    runs,
     serve,
     solve,
     users,
@@ -43,6 +44,7 @@ app = typer.Typer(
 COMMANDS: dict[str, Callable[..., None]] = {
     "serve": serve.serve,
     "run": run.run,
+    "runs": runs.runs,
     "watch": watch.watch,
     "resume": run.resume,
     "rigs": rigs.rigs,

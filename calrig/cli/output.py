@@ -17,13 +17,16 @@ from rich.text import Text
 
 from calrig.errors import printable
 from calrig.estimation.angle_text import SMALL_DEG, angle_text
+from calrig.run_ids import short_name
 
 if TYPE_CHECKING:
     from calrig.client.documents import RunRecord
     from calrig.model.base import Model
     from calrig.model.diagnosis import Diagnosis, EffectFound
     from calrig.model.noise import Coefficient, NoiseReport
+    from calrig.model.result import Result
     from calrig.model.service import KnownUser, Membership, RigState
+    from calrig.model.verdict import Verdict
     from calrig.settings import RigSettings
     from calrig.store.moving import Moved
 
@@ -167,16 +170,14 @@ def _rows_of(run: RunRecord) -> Iterable[tuple[str, ...]]:
     of_stage = (stage.bias_std_deg, stage.scale_std) if stage else (None, None)
     plain: tuple[tuple[float, float | None], tuple[float | None, float | None]]
     plain = (result.bias_deg, result.bias_std_deg), (result.scale, result.scale_std)
-    if (run.plan or {}).get("kind") == "verification":
+    if not _is_calibration(run):
         if over is not None:
             yield "mean error of indication", number(over.mean_error_deg, "°")
             ends = min(over.lowest_error_deg), max(over.highest_error_deg)
             yield "errors of indication", " to ".join(number(end, "°") for end in ends)
     else:
-        bias, scale = plain
-        if result.rms_with_effects_deg is not None and over is not None and over.covariance is not None:
-            bias = over.bias_deg, math.sqrt(over.covariance[0][0])
-            scale = over.scale, math.sqrt(over.covariance[1][1])
+        bias_deg, bias_std_deg, scale_value, scale_std = _judged_line(result)
+        bias, scale = (bias_deg, bias_std_deg), (scale_value, scale_std)
         yield "bias", *(number(value, "°") for value in (*bias, of_stage[0]))
         yield "scale", *(number(value, "", 6) for value in (*scale, of_stage[1]))
         if bias != plain[0]:
@@ -195,10 +196,62 @@ def _rows_of(run: RunRecord) -> Iterable[tuple[str, ...]]:
     yield "gyro scale", number(gyro.scale, "", 6), number(gyro.scale_std, "", 6)
 
 
+def _is_calibration(run: RunRecord) -> bool:
+    return (run.plan or {}).get("kind") != "verification"
+
+
+def _judged_line(result: Result) -> tuple[float, float | None, float | None, float | None]:
+    """Return bias and scale as the verdict judges them, each with its standard error."""
+    over = result.over_range
+    if result.rms_with_effects_deg is None or over is None or over.covariance is None:
+        return result.bias_deg, result.bias_std_deg, result.scale, result.scale_std
+    bias_std_deg, scale_std = (math.sqrt(over.covariance[k][k]) for k in range(2))
+    return over.bias_deg, bias_std_deg, over.scale, scale_std
+
+
 def print_says(sentences: Iterable[str]) -> None:
     """Prints a verdict's sentences on standard error, beside what a program reads on standard output."""
     for sentence in sentences:
         typer.echo(f"· {printable(sentence)}", err=True)
+
+
+def print_runs(runs: Sequence[RunRecord], next_cursor: str | None, *, is_filtered: bool) -> None:
+    """Print runs as a table, one line each, and how to list older ones."""
+    if not runs:
+        how = (
+            "no run matches"
+            if is_filtered
+            else "no runs yet: `calrig run` or `calrig import` makes the first"
+        )
+        print_line(how)
+        return
+    names = ("run", "unit", "rig", "status", "verdict", "created (UTC)", "bias", "scale", "RMS error")
+    print_table(names, (_line_of(run) for run in runs), justify="left")
+    if next_cursor is not None:
+        print_line(f"older runs: --cursor {next_cursor}")
+
+
+def _line_of(run: RunRecord) -> tuple[str, ...]:
+    """Return the figures that the verdict judges; a verification measures no bias and no scale."""
+    figures = ("", "", "")
+    if (result := run.result) is not None:
+        rms_deg = (
+            result.rms_calibrated_deg if result.rms_with_effects_deg is None else result.rms_with_effects_deg
+        )
+        bias_deg, _, scale, _ = _judged_line(result)
+        line = (number(bias_deg, "°"), number(scale, "", 6)) if _is_calibration(run) else ("", "")
+        figures = (*line, number(rms_deg, "°"))
+    status = f"{run.status}, voided" if run.voided is not None else run.status
+    created = f"{run.created_at:%Y-%m-%d %H:%M}"
+    return short_name(run.id), run.unit, run.rig or "", status, _answer(run.verdict), created, *figures
+
+
+def _answer(verdict: Verdict | None) -> str:
+    if verdict is None:
+        return ""
+    if verdict.answer != "no_limits" or verdict.left is None:
+        return verdict.answer.replace("_", " ")
+    return "residual within noise" if verdict.left == "noise" else "residual above noise"
 
 
 def print_rigs(rigs: Iterable[RigSettings]) -> None:

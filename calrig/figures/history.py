@@ -90,9 +90,11 @@ def control_chart(
     when = [_iso(at) for at in finished_at]
     bound = [one if math.isfinite(one) else None for one in limit]
     data = []
-    for sign in (1, -1):
+    for sign in (1, -1) if any(one is not None for one in bound) else ():
         edge = line_of("limit", when, [None if one is None else sign * one for one in bound], GREY)
         edge["line"] = {"color": GREY, "width": 1, "dash": "dash"}
+        edge["mode"] = "lines+markers"  # the first limit is a single point, which no line shows
+        edge["marker"] = {"symbol": "line-ew", "size": 22, "line": {"color": GREY, "width": 1.5}}
         data.append({**edge, "hoverinfo": "skip", "showlegend": sign == 1})
     for k, (name, average) in enumerate(averages.items()):
         trace = line_of(name, when, list(average), PALETTE[3 * k % len(PALETTE)], "%{y:.2f} σ")

@@ -37,23 +37,32 @@ class Curve:
 
 
 def timeline(
-    time_s: Sequence[float], stage_deg: Sequence[float | None], reading_deg: Sequence[float | None]
+    time_s: Sequence[float],
+    stage_deg: Sequence[float | None],
+    reading_deg: Sequence[float | None],
+    time_scale: float = 1.0,
 ) -> Figure:
     """Stage and reading against time, thinned to at most `MAX_POINTS` points a line.
 
+    A board's clock is the only one of its samples, so that the axis is its time. Of a simulated rig whose
+    clocks run faster the axis is the time on the wall, which is what the run took.
+
     Args:
-        time_s: (n,) seconds since the run began, increasing.
+        time_s: (n,) seconds of the rig's clock since the run began, increasing.
         stage_deg: (n,) elevation the stage reported, in degrees.
         reading_deg: (n,) filtered elevation, in degrees.
+        time_scale: seconds of the rig's clocks for one on the wall; the page divides live readings by it.
     """
     stride = max(1, -(-len(time_s) // MAX_POINTS))
-    time = list(time_s[::stride])
+    time = [at_s / time_scale for at_s in time_s[::stride]]
     hover = "%{x:.1f} s: %{y:.3f}°"
     stage = line_of("stage", time, list(stage_deg[::stride]), PALETTE[1], hover)
     reading = line_of("reading", time, list(reading_deg[::stride]), PALETTE[0], hover)
     stage["line"]["width"] = 4
     stage["opacity"] = 0.55
-    return {"data": [stage, reading], "layout": layout_of("time (s)", "elevation (°)")}
+    title = "time (s)" if time_scale == 1.0 else f"time (s), simulated clocks {time_scale:g}× faster"
+    layout = {**layout_of(title, "elevation (°)"), "meta": {"time_scale": time_scale}}
+    return {"data": [stage, reading], "layout": layout}
 
 
 def residual(

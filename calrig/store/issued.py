@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import cast, get_args
 
-from sqlalchemy import func
-from sqlmodel import Session, col, select
+import sqlalchemy
+from sqlmodel import Session, and_, col, func, select
 
 from calrig.canonical_json import canonical, sha256_of
 from calrig.model.calibration import RevisionStatus
@@ -18,7 +18,7 @@ from calrig.store.convert import iso_utc, run_row
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
-from calrig.store.tables import IssuedCalibrationTable, RunTable
+from calrig.store.tables import IssuedCalibrationTable, RunTable, TrailTable, UtcText
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +70,20 @@ class Revision:
     def warnings(self) -> list[str]:
         """Why it was not released by itself; documents of before say nothing of it."""
         return list(self.document.get("warnings") or ())
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """What a list of units shows of the revision in force: no document is read for it.
+
+    Attributes:
+        since: time of its last release; of stores without a trail, when it was issued.
+        verdict: as it was issued.
+    """
+
+    revision: int
+    since: datetime
+    verdict: Document
 
 
 def issue(session: Session, run: RunTable, draft: Draft) -> IssuedCalibrationTable:
@@ -145,6 +159,21 @@ class Revisions(Repository):
         with self._database.reading() as session:
             rows = session.exec(wanted.order_by(col(IssuedCalibrationTable.unit))).all()
             return [_revision(row) for row in rows]
+
+    def summaries_in_force(self, units: Sequence[str] | None = None) -> dict[str, InForce]:
+        """Return number, release and verdict of the ones in force, by unit; of all units for None."""
+        table, of = IssuedCalibrationTable, (col(TrailTable.unit), col(TrailTable.revision))
+        last = func.max(TrailTable.at, type_=UtcText()).label("at")
+        released = select(*of, last).where(TrailTable.what == "released").group_by(*of).subquery()
+        here = and_(released.c.unit == table.unit, released.c.revision == table.revision)
+        columns = table.unit, table.revision, table.issued_at, table.verdict, released.c.at
+        wanted = sqlalchemy.select(*columns).join(released, here, isouter=True)  # type: ignore[call-overload]
+        wanted = wanted.where(col(table.status) == "in_force")
+        if units is not None:
+            wanted = wanted.where(col(table.unit).in_(units))
+        with self._database.reading() as session:
+            rows = session.connection().execute(wanted)
+            return {unit: InForce(number, at or issued, said) for unit, number, issued, said, at in rows}
 
     def release(self, unit: str, number: int, by: str | None, reason: str | None) -> Revision:
         """Puts a draft, or a superseded revision once more, in force in place of the one that was.

@@ -65,8 +65,42 @@ class RunPage:
     judged_whole: Sequence[str] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class RunAnswer:
+    """What a run's verdict is in short, under today's limits."""
+
+    answer: Answer | Literal["no_limits"]
+    left: Left | None
+
+
 class Verdicts(Repository):
-    """Search of runs by their verdict under today's limits."""
+    """Runs and their verdict under today's limits."""
+
+    def answers(self, run_ids: Sequence[str]) -> tuple[dict[str, RunAnswer], list[str]]:
+        """Return the verdicts of some runs by id, without those that cannot be judged.
+
+        Also returns the ids of the runs that were judged from their whole result.
+        """
+        found: dict[str, RunAnswer] = {}
+        whole: list[str] = []
+        with self._database.reading() as session:
+            limits = limits_of(session)
+            of = cache(lambda unit, rig: limit_for(limits, unit, rig))
+            for first in range(0, len(run_ids), AT_ONCE):
+                some = col(RunTable.uid).in_(run_ids[first : first + AT_ONCE])
+                judged = sqlalchemy.select(col(RunTable.uid), col(RunTable.unit), col(RunTable.rig), _KEPT)
+                judged = judged.join(_KEPT, _KEPT.c.run_id == col(RunTable.id))
+                for row in session.connection().execute(judged.where(some, _KEPT.c.program == PROGRAM)):
+                    answer = answer_of(cast("VerdictFigures", row), of(row.unit, row.rig))
+                    found[row.uid] = RunAnswer(answer, row.left)
+                others = [one for one in run_ids[first : first + AT_ONCE] if one not in found]
+                for run in session.exec(select(RunTable).where(col(RunTable.uid).in_(others))):
+                    whole.append(run.uid)
+                    figures = _figures_of(run)
+                    if figures is not None:
+                        answer = answer_of(figures, of(run.unit, run.rig))
+                        found[run.uid] = RunAnswer(answer, figures.left)
+        return found, whole
 
     def judged_runs(
         self, sought: Sought, judged: Judged, *, limit: int = 50, cursor: str | None = None
@@ -151,14 +185,20 @@ def _keep(connection: Connection, run: RunTable) -> None:
     connection.execute(sqlalchemy.delete(VerdictFiguresTable).where(_KEPT.c.run_id == run.id))
     if run.result is None:
         return
+    found = _figures_of(run)
+    values = {"program": ""} if found is None else {"program": PROGRAM, **found.model_dump()}
+    connection.execute(sqlalchemy.insert(VerdictFiguresTable).values(run_id=run.id, **values))
+
+
+def _figures_of(run: RunTable) -> VerdictFigures | None:
+    """Return the figures of a run's result; None if it cannot be judged."""
     try:
         result = Result.model_validate(run.result)
-        found = verdict_figures(result, run.diagnosis, **how_judged(run.plan, run.faults)).model_dump()
-        is_sound = all(math.isfinite(value) for value in found.values() if isinstance(value, float))
+        found = verdict_figures(result, run.diagnosis, **how_judged(run.plan, run.faults))
     except (KeyError, TypeError, ValueError, ArithmeticError):  # written by another program
-        found, is_sound = {}, False
-    values = {"program": PROGRAM, **found} if is_sound else {"program": ""}
-    connection.execute(sqlalchemy.insert(VerdictFiguresTable).values(run_id=run.id, **values))
+        return None
+    numbers = (value for value in found.model_dump().values() if isinstance(value, float))
+    return found if all(map(math.isfinite, numbers)) else None
 
 
 @event.listens_for(RunTable, "after_insert")

@@ -6,7 +6,7 @@ import pytest
 from dated_runs import gave, lay
 from sqlmodel import update
 
-from calrig.analysis.limits import found_runs
+from calrig.analysis.run_search import found_runs
 from calrig.store import Store
 from calrig.store.runs import Sought
 from calrig.store.tables import VerdictFiguresTable

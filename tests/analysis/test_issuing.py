@@ -19,6 +19,7 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.results.result import build_result
 from calrig.canonical_json import canonical
 from calrig.model.verdict import Verdict
+from calrig.run_ids import short_name
 from calrig.store import Run, Store, StoreDamagedError
 from calrig.store.errors import Refused
 
@@ -89,7 +90,7 @@ def test_effects_accepted_later_make_another_revision_with_its_own_number(lab):
     lab.accepts(run)
     second = lab.store.revisions.in_force("A")
     assert (second.revision, [e["name"] for e in second.document["effects"]]) == (2, ["temperature_bias"])
-    assert second.reason == f"accepted from run {run.id}: temperature bias"
+    assert second.reason == f"accepted from run {short_name(run.id)}: temperature bias"
     assert second.document["bias_deg"] != lab.store.revisions.get("A", 1).document["bias_deg"]
     assert all("formula" in effect for effect in second.document["effects"])
 
@@ -194,10 +195,13 @@ def test_a_voided_run_gives_way_to_the_latest_that_counts_and_else_stays_in_forc
     first, second = lab.imports(), lab.imports(content=CSV.replace(b",20\n", b",21\n"))
     lab.records.void(second.id, "wrong clamp")
     in_force = lab.store.revisions.in_force("A")
-    assert (in_force.run_id, in_force.reason) == (first.id, f"run {second.id} was voided: wrong clamp")
+    assert (in_force.run_id, in_force.reason) == (
+        first.id,
+        f"run {short_name(second.id)} was voided: wrong clamp",
+    )
     lab.records.void(first.id, "wrong stage")
     assert lab.store.revisions.in_force("A").revision == in_force.revision, "there is nothing to replace it"
-    assert lab.stale()[0] == [f"Run {first.id} has been voided: wrong stage"]
+    assert lab.stale()[0] == [f"Run {short_name(first.id)} has been voided: wrong stage"]
 
 
 def test_a_stage_effect_accepted_for_another_unit_changes_no_document_and_is_told(lab):
@@ -255,7 +259,7 @@ def test_a_unit_that_never_was_is_removed_once_its_run_is_moved_and_its_revision
     run = lab.imports("AS-0O42")
     lab.records.move(run.id, "AS-0042", "a letter O for a zero")
     assert lab.store.revisions.in_force("AS-0042").run_id == run.id
-    assert lab.stale("AS-0O42") == [[f"Run {run.id} belongs to unit AS-0042 now."]]
+    assert lab.stale("AS-0O42") == [[f"Run {short_name(run.id)} belongs to unit AS-0042 now."]]
     with pytest.raises(Refused, match="revision 1 of unit 'AS-0O42' is in force"):
         lab.store.units.remove("AS-0O42")
     lab.issuer.withdraw("AS-0O42", 1, by="ada", reason="there is no such unit")

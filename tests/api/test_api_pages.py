@@ -59,7 +59,7 @@ LATER = re.findall(
     amend ask benches benchfilters benchtable calibrations certificate charts compare diagnosis effect
     effects fold followup import interrupted limits live longwork next noise paper plandesign poses provenance
     queue queuebell queueclock queueform queuekeys queuerig result rig run runhead solution solve stream
-    timeline together trail units upload users waiting
+    timeline together trail unitlist units upload users waiting
     """,
 )
 """Modules of pages that are fetched when somebody goes there."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from datetime import UTC, datetime, timedelta
 from itertools import product
 
@@ -277,6 +278,24 @@ def test_every_colour_stands_out_on_light_and_on_dark():
     for colour, background in product(figures.PALETTE, ("#ffffff", "#171c21")):
         light, dark = sorted((luminance(colour), luminance(background)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 3, (colour, background)
+
+
+def test_the_timeline_of_a_board_counts_its_clock_and_of_a_faster_rig_the_time_on_the_wall():
+    readings = [0.0, 135.0, 270.0], [0.0, 1.0, 2.0], [0.0, 1.0, 2.0]
+    board, simulated = figures.timeline(*readings), figures.timeline(*readings, time_scale=6.0)
+    assert board["data"][0]["x"] == [0.0, 135.0, 270.0]
+    assert board["layout"]["xaxis"]["title"]["text"] == "time (s)"
+    assert simulated["data"][0]["x"] == simulated["data"][1]["x"] == [0.0, 22.5, 45.0]
+    assert simulated["layout"]["xaxis"]["title"]["text"] == "time (s), simulated clocks 6× faster"
+
+
+def test_a_control_chart_shows_the_limit_of_its_second_run_and_no_band_without_one():
+    when = [datetime(2026, 1, day, tzinfo=UTC) for day in (1, 2)]
+    averages = {"bias": [0.0, 0.4]}
+    first, second, bias = figures.control_chart(when, averages, [math.inf, 0.8])["data"]
+    assert (first["y"], second["y"]) == ([None, 0.8], [None, -0.8])
+    assert first["mode"] == "lines+markers"  # a line alone shows no single point
+    assert figures.control_chart(when[:1], {"bias": [0.0]}, [math.inf])["data"][0]["name"] == bias["name"]
 
 
 def test_a_timeline_has_the_stage_and_the_reading_each_under_its_own_name():
