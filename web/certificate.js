@@ -1,4 +1,4 @@
-// A unit's certificates: a preview, those that were issued, and the item as received, which they state.
+// A unit's certificates: a preview, those that were issued, and what they state of customer and receipt.
 
 import { get, getBlob, post, put } from "./api.js";
 import { askConfirmation, askReason } from "./ask.js";
@@ -26,7 +26,7 @@ export function certificateButtons(path, { unit, revision }) {
       saveFile(file, `preview-${unit}-revision-${revision}.pdf`);
     }),
   );
-  const say = h("button", { type: "button", id: "item", on: { click: () => askItem(path, error) } }, "Item as received…");
+  const say = h("button", { type: "button", id: "item", on: { click: () => askItem(path, error) } }, "Customer and receipt…");
   const question = {
     title: `Issue the certificate of revision ${revision}?`,
     text: "It gets a number and is kept unchanged. A correction is a new certificate.",
@@ -120,11 +120,11 @@ async function askItem(path, error) {
     inputs.set(name, input);
     supplied.set(name, tick);
     const of = h("span", { class: "for-screen-readers" }, `: ${label}`);
-    const by = h("div", { class: "choice" }, h("label", {}, tick, h("span", {}, "by the customer", of)));
+    const by = h("div", { class: "choice" }, h("label", {}, tick, h("span", {}, "stated by the customer", of)));
     return h("div", { class: "fields two" }, field(input.id, label, input), by);
   });
   const question = {
-    title: "Item as received",
+    title: "Customer and receipt",
     text: "Stated on the unit's certificates. Empty fields are omitted.",
     action: "Save",
     before: rows,

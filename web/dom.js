@@ -204,11 +204,15 @@ export function markWrong(form, fields = []) {
       continue;
     }
     input.setAttribute("aria-invalid", "true");
-    const folded = input.closest("details");
-    if (folded) folded.open = true;
+    unfold(input);
     first ??= input;
   }
   return first;
+}
+
+/** Opens every fold around an element. */
+export function unfold(element) {
+  for (let fold = element.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
 }
 
 /** A button that calls `click`. */

@@ -1,7 +1,8 @@
-// An interrupted run: its interruptions in the run's head, and the buttons that continue or end it.
+// A run that ended early: its interruptions in the run's head, and the buttons that continue it, end it or start it again.
 
-import { button, h } from "./dom.js";
+import { button, h, runHref, runName, unitHref } from "./dom.js";
 import { fixed, isKnown, moment, plural } from "./format.js";
+import { may } from "./me.js";
 
 /** A line for each time the run was resumed. */
 export function interruptions(run) {
@@ -25,10 +26,14 @@ function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, diff
   return `repeated pose at ${fixed(target_deg, 1, "°")}: ${difference}${chance}`;
 }
 
-/** Buttons for an interrupted run; `ask(verb)` posts resume or abort, `place` is a `placeField`. */
+/**
+ * Buttons for a run that did not complete; `ask(verb)` posts resume or abort of an interrupted one, `place` is a
+ * `placeField`.
+ */
 export function wayOn(run, place, ask) {
   const verbButton = (id, verb, text) => button(text, () => ask(verb), { id });
   if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, verbButton("go-held", "resume", "Continue"));
+  if (["failed", "aborted"].includes(run.status)) return startAgain(run);
   if (run.status !== "interrupted") return null;
   return h(
     "section",
@@ -56,6 +61,16 @@ export function wayOn(run, place, ask) {
       h("p", { id: "going-on", class: "muted", role: "status" }),
     ),
   );
+}
+
+/** A link to where such a run is started again: the form with its unit, rig and plan. */
+function startAgain({ id, unit, plan, follows }) {
+  if (!plan || !may("operator")) return null;
+  const link = (href, text) => h("p", {}, h("a", { id: "start-again", class: "button", href }, text));
+  if (follows) return link(runHref(follows), `Design it again from run ${runName(follows)}`);
+  if (plan.kind === "static") return link("#/noise", "Record again");
+  if (plan.kind === "verification") return link(unitHref(unit), "Verify again");
+  return link(`#/?again=${encodeURIComponent(id)}`, "Start again");
 }
 
 /** Whether the position of the run's stage may have to be entered. */

@@ -1,9 +1,11 @@
-// The form of a plan: usual fields, folded advanced fields, number of poses and duration.
+// The form of a plan: one line with its poses, range and duration; presets and fields folded behind it.
 
 import { post, serviceError } from "./api.js";
-import { field, fill, h, markWrong, paragraphs, select } from "./dom.js";
-import { duration, plural } from "./format.js";
+import { askConfirmation } from "./ask.js";
+import { button, field, fill, h, markWrong, paragraphs, select, unfold } from "./dom.js";
+import { duration, fixed, plural, significant } from "./format.js";
 
+const JITTER_WHY = "Several mounts: half a step of jitter also shows stage errors between the steps.";
 const TYPING_MS = 250; // no request while the user types
 
 const RANGE = [
@@ -11,13 +13,13 @@ const RANGE = [
   spec("stop_deg", "To", "°", 60),
   spec("step_deg", "Step", "°", 10),
 ];
+const JITTER = spec("jitter_deg", "Jitter", "±°", 0);
 const USUAL = [
   spec("sweeps", "Sweeps", "", 4, { whole: true }),
   spec("settle_s", "Settling time", "s", 1),
   spec("dwell_s", "Dwell time", "s", 2),
 ];
 const ADVANCED = [
-  spec("jitter_deg", "Elevation jitter", "±°", 0),
   spec("rate_hz", "Sample rate", "Hz", 200, { whole: true }),
   spec("target_std_deg", "Dwell until standard error", "°", null, { hint: "fixed dwell" }),
   spec("expanded_uncertainty_deg", "Stop at expanded uncertainty", "°", null, { hint: "whole plan" }),
@@ -31,6 +33,17 @@ const ORDERS = [
   ["random", "Random"],
   ["given", "As given"],
 ];
+const STANDARD = {
+  ...Object.fromEntries([...RANGE, JITTER, ...USUAL, ...ADVANCED].map(({ name, value }) => [name, value])),
+  order: "sweep",
+  mounts_deg: [0],
+  mount_axis: "x",
+};
+const PRESETS = [
+  ["quick", "Quick", { ...STANDARD, step_deg: 20, sweeps: 2 }],
+  ["standard", "Standard", STANDARD],
+  ["three-mounts", "Three mounts", { ...STANDARD, mounts_deg: [0, 120, 240], jitter_deg: 5 }],
+];
 
 function spec(name, label, unit, value, { whole = false, hint = null } = {}) {
   return { name, label, unit, value, whole, hint };
@@ -38,7 +51,8 @@ function spec(name, label, unit, value, { whole = false, hint = null } = {}) {
 
 /**
  * The form's fieldset: `value()` is its plan; `estimate()` shows the plan's size and warnings again, for the rig and unit
- * of `of()`. `signal` aborts when the view is left.
+ * of `of()`; `begin(start)` calls `start`, after a question if a designed plan is shown that the form has not taken.
+ * `signal` aborts when the view is left.
  */
 export function planForm(of, signal) {
   const inputs = new Map();
@@ -53,16 +67,21 @@ export function planForm(of, signal) {
     placeholder: "−60, −20, 0, 20, 60",
   });
   const order = select({ id: "order" }, ORDERS);
-  const summary = h("p", { id: "plan-summary", class: "summary", "aria-live": "polite" });
+  const summary = h("span", { id: "plan-summary", "aria-live": "polite" });
   const cautions = h("div", { id: "plan-warnings", class: "cautions", role: "status", hidden: true });
-  const range = h("div", { class: "fields three" }, RANGE.map(make));
+  const range = RANGE.map(make);
   const given = field("elevations_deg", "Elevations, °, in any order", list);
+  given.classList.add("wide");
+  const jittered = h("p", { id: "jitter-why", class: "muted", hidden: true }, JITTER_WHY);
+  const presets = PRESETS.map(([id, text, plan]) => button(text, () => take(plan), { id: `preset-${id}` }));
+  const designer = designDetails(() => ({ ...of(), plan: value() }), take, signal);
   const advanced = h("details", {}, h("summary", {}, "More settings"), h("div", { class: "fields two" }, ADVANCED.map(make)));
   const mounts = mountFields();
-  const element = h(
-    "fieldset",
-    { id: "plan" },
-    h("legend", {}, "Plan"),
+  const fields = h(
+    "details",
+    { id: "plan-fields" },
+    h("summary", {}, h("span", { class: "name" }, "Plan"), summary, h("span", { class: "change" }, "change")),
+    h("div", { class: "buttons presets", role: "group", "aria-label": "Presets" }, presets, designer),
     h(
       "div",
       { class: "choice", role: "radiogroup", "aria-label": "Elevations" },
@@ -70,18 +89,17 @@ export function planForm(of, signal) {
       asList.element,
       asTurns.element,
     ),
-    range,
-    given,
+    h("div", { class: "fields four" }, range, given, make(JITTER)),
+    jittered,
     h("div", { class: "fields four" }, field("order", "Order", order), USUAL.map(make)),
     mounts.element,
     advanced,
-    summary,
-    cautions,
   );
+  const element = h("fieldset", { id: "plan", "aria-label": "Plan" }, fields, cautions);
 
   function value() {
     let plan = asTurns.input.checked ? { kind: "sweep", order: "sweep" } : { order: order.value, ...mounts.value() };
-    for (const { name } of [...(asList.input.checked ? [] : RANGE), ...USUAL, ...ADVANCED]) {
+    for (const { name } of [...(asList.input.checked ? [] : RANGE), JITTER, ...USUAL, ...ADVANCED]) {
       plan[name] = number(inputs.get(name));
     }
     const { expanded_uncertainty_deg: wanted, ...rest } = plan;
@@ -93,13 +111,15 @@ export function planForm(of, signal) {
   let hadSeveral = false;
 
   function refresh() {
-    range.hidden = asList.input.checked;
+    for (const one of range) one.hidden = asList.input.checked;
     given.hidden = !asList.input.checked;
     for (const { name } of RANGE) inputs.get(name).disabled = asList.input.checked;
     list.required = asList.input.checked;
     order.disabled = mounts.element.hidden = asTurns.input.checked;
     jitterForMounts();
     markWrong(element);
+    const now = comparable(value());
+    presets.forEach((one, k) => one.setAttribute("aria-pressed", now === comparable(PRESETS[k][2])));
     estimate();
   }
 
@@ -109,6 +129,7 @@ export function planForm(of, signal) {
     const jitter = inputs.get("jitter_deg");
     if (several && !hadSeveral && jitter.value === "0") jitter.value = Number(inputs.get("step_deg").value) / 2;
     hadSeveral = several;
+    jittered.hidden = !several || !Number(jitter.value);
   }
 
   let timer;
@@ -146,6 +167,7 @@ export function planForm(of, signal) {
   }
 
   element.addEventListener("input", refresh);
+  element.addEventListener("invalid", ({ target }) => unfold(target), true); // the browser shows why it is refused
   signal.addEventListener("abort", forget);
   refresh();
   /** Fills the plan from the address: `mounts=0,120&axis=x`. */
@@ -167,12 +189,24 @@ export function planForm(of, signal) {
     refresh();
   }
 
-  return { element, designer: designer(() => ({ ...of(), plan: value() }), take, signal), value, estimate, prefill, take };
+  const begin = (start) => (designer.querySelector("#use-plan") ? askConfirmation(UNUSED, start) : start());
+  return { element, value, estimate, prefill, take, begin };
 }
 
-/** "Design a plan", folded: loaded when the user opens it. */
-function designer(of, take, signal) {
-  const element = h("details", { id: "designer" }, h("summary", {}, "Design a plan"));
+const UNUSED = {
+  title: "Start without the designed plan?",
+  text: "The form still has its own plan. To measure with the designed one, cancel and press Use this plan.",
+  action: "Start the form's plan",
+};
+
+/** A plan as text, to see whether two are the same. */
+function comparable({ kind, elevations_deg: list, until, ...plan }) {
+  return JSON.stringify([kind, list, until ?? null, Object.keys(STANDARD).map((name) => plan[name] ?? null)]);
+}
+
+/** The design of a plan, folded: loaded when the user opens it. */
+function designDetails(of, take, signal) {
+  const element = h("details", { id: "designer" }, h("summary", {}, "By uncertainty"));
   const open = async () => {
     const { planDesigner } = await import("./plandesign.js");
     element.append(planDesigner(of, take, signal));
@@ -203,23 +237,29 @@ function number(input) {
   return input.value === "" ? null : Number(input.value);
 }
 
-/** The number of poses and the duration that the service has estimated. */
-function estimateText(plan, { n_poses: poses, wall_s: seconds }) {
+/** The number of poses, their range and the duration that the service has estimated. */
+function estimateText(plan, { n_poses: poses, wall_s: seconds, elevations_deg: elevations }) {
   const upTo = plan.target_std_deg || plan.until ? "at most about" : "about";
   const turns = (plan.mounts_deg?.length ?? 1) - 1;
   const wait = plan.wait_temperature_c === null ? "" : ", plus the wait for temperature";
   const each = turns && `; ${plural(poses / plan.mounts_deg.length, "pose")} per mounting, the unit remounted `;
   const often = turns && (["once", "twice"][turns - 1] ?? `${turns} times`);
-  return [h("strong", {}, plural(poses, "pose")), `, ${upTo} ${duration(seconds)}${wait}`, turns > 0 && each + often];
+  const [low, high] = [Math.min(...elevations), Math.max(...elevations)].map((end) => fixed(end, end % 1 ? 1 : 0, "°"));
+  const jitter = plan.jitter_deg ? `, jitter ±${significant(plan.jitter_deg, 2, "°")}` : "";
+  return [
+    h("strong", {}, plural(poses, "pose")),
+    `, ${low} to ${high}${jitter}, ${upTo} ${duration(seconds)}${wait}`,
+    turns > 0 && each + often,
+  ];
 }
 
-const PRESETS = ["0", "0, 120, 240", "0, 51.43, 154.29"];
+const MOUNTS = ["0", "0, 120, 240", "0, 51.43, 154.29"];
 const AXES = ["x", "y", "z", "-x", "-y", "-z"];
 
 /** The fields; `value()` is their part of the plan, `set(plan)` fills them from a plan. */
 function mountFields() {
   const angles = h("input", { id: "mounts_deg", type: "text", list: "mounts-usual", value: "0", required: true });
-  const usual = h("datalist", { id: "mounts-usual" }, PRESETS.map((value) => h("option", { value })));
+  const usual = h("datalist", { id: "mounts-usual" }, MOUNTS.map((value) => h("option", { value })));
   const axis = select({ id: "mount_axis" }, AXES.map((value) => [value, value.replace("-", "−")]));
 
   function set({ mounts_deg: mounts, mount_axis: along }) {

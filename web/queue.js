@@ -9,10 +9,13 @@ import { Bell } from "./queuebell.js";
 import { keepForNext, listForm } from "./queueform.js";
 import { SCANNER_MS, asRead, readerTypesInto } from "./queuekeys.js";
 import { RigCard, TOO_SOON } from "./queuerig.js";
+import { stopRig, stopsOnEscape } from "./stop.js";
 
 const LOOK_MS = 500;
 const HIDDEN_LOOK_MS = 2000;
 const BOARDS_MS = 2000; // interval of the presence checks of idle rigs
+const STOPPED_MS = 1500; // after a stop, a key that was meant for Stop starts nothing
+const STOPPED = "Not started: a stop was just requested. Read the instruction, then try again.";
 const TOUCH = matchMedia("(pointer: coarse)"); // there the focus opens a keyboard over the instruction
 
 /** The newest open batch of today, the one that the address names, or the form of a new one (`#/queue/new`). */
@@ -71,6 +74,7 @@ class QueuePage {
     this.units = new UnitsTable((unit) => this.#ask(`take ${unit}`, async () => this.#show(await post(`${this.path}/remove`, { unit }))));
     this.asked = new Map(); // requests in progress, by subject
     this.answers = 0;
+    this.stopping = 0; // stops that were just requested
     this.untold = []; // serial numbers not sent to the service yet
     this.scannedAt = this.lookedAt = -Infinity;
     const quiet = { autocomplete: "off", spellcheck: "false" };
@@ -90,6 +94,8 @@ class QueuePage {
     signal.addEventListener("abort", () => this.clock.terminate());
     document.addEventListener("visibilitychange", () => this.#soon(0), { signal });
     readerTypesInto(this.scan, signal);
+    stopsOnEscape(() => this.#busyRigs(), signal);
+    window.addEventListener("calrig:stop", ({ detail }) => this.#stopped(detail), { signal });
     for (const part of [this.rigs, ...this.bell.buttons]) part.addEventListener("click", () => TOUCH.matches || this.#focus(), { signal });
   }
 
@@ -112,6 +118,30 @@ class QueuePage {
   /** Directs the keyboard, and with it a scanner, to the input, without scrolling. */
   #focus() {
     this.scan.focus({ preventScroll: true });
+  }
+
+  /** The rigs that have a run, or for which a start was requested. */
+  #busyRigs() {
+    const isBusy = ({ name, state, on }) => state === "busy" || on?.state === "running" || this.asked.has(startOn(name));
+    return this.list.rigs.filter(isBusy).map(({ name }) => name);
+  }
+
+  /**
+   * After a stop of a rig, from the header or by key: the keyboard goes back to the input, and for a moment nothing
+   * starts. A start that is in progress is cancelled, and a run that it may have started is stopped as well.
+   */
+  async #stopped({ name, answer }) {
+    this.cards.get(name)?.cancel();
+    this.asked.get(startOn(name))?.then(() => stopRig(name));
+    if (!TOUCH.matches && !document.querySelector("dialog[open]")) this.#focus();
+    this.stopping += 1;
+    await answer;
+    setTimeout(() => (this.stopping -= 1), STOPPED_MS);
+  }
+
+  /** What starts a motion: not just after a stop. */
+  #move(about, work) {
+    return this.stopping ? this.#tell(STOPPED) : this.#ask(about, work);
   }
 
   #closing({ closed_at: closed }) {
@@ -172,8 +202,11 @@ class QueuePage {
     if (closed) document.getElementById("close-list")?.remove();
     for (const rig of list.rigs) {
       if (!this.cards.has(rig.name)) {
-        const begin = (turn, signal) => this.#ask(`start on ${turn.rig}`, async () => this.#show(await post(`${this.path}/start`, turn, signal)));
-        const ask = (verb, run) => this.#ask(`${verb} ${run}`, () => post(`/api/runs/${encodeURIComponent(run)}/${verb}`));
+        const begin = (turn, signal) => this.#move(startOn(turn.rig), async () => this.#show(await post(`${this.path}/start`, turn, signal)));
+        const ask = (verb, run) => {
+          const send = () => post(`/api/runs/${encodeURIComponent(run)}/${verb}`);
+          return verb === "resume" ? this.#move(`${verb} ${run}`, send) : this.#ask(`${verb} ${run}`, send);
+        };
         const card = new RigCard(rig.name, { begin, ask, tell: (text, about) => this.#tell(text, about) });
         this.cards.set(rig.name, card);
         this.rigs.append(card.element);
@@ -295,6 +328,9 @@ class QueuePage {
     this.error.say(serviceError(problem, this.signal));
   }
 }
+
+/** The subject of the request that starts a unit on a rig. */
+const startOn = (rig) => `start on ${rig}`;
 
 class UnitsTable {
   /** `take(unit)` removes a waiting unit. */

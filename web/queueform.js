@@ -54,7 +54,6 @@ export async function listForm(last, signal) {
       field("note", "Note (optional)", note),
       field("failed", "If a unit fails", failed),
     ),
-    plan.designer,
     plan.element,
     error.element,
     h("div", { class: "buttons" }, make),
@@ -85,7 +84,7 @@ export async function listForm(last, signal) {
     }
     file.value = ""; // so that it can be chosen again
   });
-  onSubmit(form, make, error, async () => {
+  const begin = async () => {
     localStorage.setItem(OPERATOR_KEY, operator.value);
     const { id } = await post("/api/batches", {
       units: lines(units.value),
@@ -97,7 +96,8 @@ export async function listForm(last, signal) {
     });
     sessionStorage.removeItem(UNITS_KEY);
     location.hash = `#/queue/${encodeURIComponent(id)}`;
-  });
+  };
+  onSubmit(form, make, error, () => plan.begin(begin));
   setTimeout(() => units.focus());
   return form;
 }

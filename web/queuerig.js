@@ -25,7 +25,7 @@ export class RigCard {
     this.more = h("p", { class: "muted" });
     const button = (props, click) => h("button", { type: "button", ...props, on: { click } });
     this.go = button({ class: "primary", "data-go": name }, () => this.press({ byHand: true }));
-    const abort = () => (this.leaving ? this.leaving.abort() : ask("abort", this.rig.on.run_id));
+    const abort = () => (this.leaving ? this.cancel() : ask("abort", this.rig.on.run_id));
     this.abort = button({ class: "danger" }, abort);
     this.element = h(
       "section",
@@ -77,6 +77,11 @@ export class RigCard {
     if (!this.does) return null;
     if (this.isCalm && !named) return this.tell(TOO_SOON);
     return byHand && this.anyway ? this.anyway() : this.does();
+  }
+
+  /** Cancels the start of a follow-up run that is being designed, if any. */
+  cancel() {
+    this.leaving?.abort();
   }
 
   /** `standing`: whether the batch has `several` rigs or is `closed`, the Set of `waiting` units, and the counts. */

@@ -21,15 +21,19 @@ import {
 } from "./dom.js";
 import { fixed, isKnown, moment, plural, significant } from "./format.js";
 import { may } from "./me.js";
-import { preferRig } from "./stop.js";
+import { onRigs } from "./rigs.js";
+import { preferRig, stopsOnEscape } from "./stop.js";
 
 const STATES = { passed: "good", failed: "poor", not_known: "unknown" };
-const HEADLINES = { passed: "The rig passes.", failed: "The rig fails.", not_known: "Not known yet." };
-const WORDS = { passed: "passed", failed: "failed", not_known: "not known" };
+const HEADLINES = { passed: "The rig passes.", failed: "The rig fails.", not_known: "Not yet checked." };
+const WORDS = { passed: "passed", failed: "failed", not_known: "not checked" };
 const EVERY_DAYS = 30;
 
 export async function rigView({ root, parts: [name], signal }) {
   preferRig(name);
+  let isBusy = false;
+  onRigs((rigs) => (isBusy = rigs.some((rig) => rig.name === name && rig.state === "busy")), signal);
+  stopsOnEscape(() => (isBusy ? [name] : []), signal);
   const path = `/api/rigs/${encodeURIComponent(name)}/check-unit`;
   const card = h("section", { class: "card", id: "check", "aria-labelledby": "check-title" });
   const chart = new Chart("check-chart", "Control chart: the check unit's bias and scale", { signal });
@@ -40,7 +44,7 @@ export async function rigView({ root, parts: [name], signal }) {
     fill(
       card,
       h("h2", { id: "check-title" }, "Check unit"),
-      check ? standing(check) : h("p", { class: "muted" }, "None: a change of this rig would stay undetected."),
+      check ? standing(check) : h("p", { class: "muted" }, "No check standard: rig drift is not monitored."),
       form,
       check && checks(check),
     );
@@ -54,7 +58,7 @@ export async function rigView({ root, parts: [name], signal }) {
 }
 
 const HOLDS = { holds: "good", moved: "poor", not_known: "unknown" };
-const HOLD_WORDS = { holds: "The map is valid.", moved: "The map has changed.", not_known: "Not known yet." };
+const HOLD_WORDS = { holds: "The map is valid.", moved: "The map has changed.", not_known: "Not yet checked." };
 
 async function showReference(card, name, signal) {
   const path = `/api/rigs/${encodeURIComponent(name)}/map`;

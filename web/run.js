@@ -16,7 +16,7 @@ import { provenanceLists } from "./provenance.js";
 import { answerOf, noResult, noResultAbout, resultDetails } from "./result.js";
 import { downloads, faultLine, faultSummary, heading } from "./runhead.js";
 import { placeField } from "./stageplace.js";
-import { preferRig } from "./stop.js";
+import { preferRig, stopsOnEscape } from "./stop.js";
 import { follow } from "./stream.js";
 import { Timeline } from "./timeline.js";
 
@@ -100,7 +100,7 @@ class RunPage {
       this.spoken,
     );
     signal.addEventListener("abort", () => clearTimeout(this.timer));
-    window.addEventListener("keydown", (event) => this.#escape(event), { signal });
+    stopsOnEscape(() => (this.run.rig && (!this.ended || this.isGoingOn) ? [this.run.rig] : []), signal);
     window.addEventListener("calrig:done", () => this.#amended(), { signal });
     this.#show(run);
     preferRig(run.rig);
@@ -321,22 +321,6 @@ class RunPage {
   async #follow() {
     try {
       await this.begin();
-    } catch (error) {
-      this.#say(error);
-    }
-  }
-
-  /** The Escape key stops the stage of a run in progress, unless it closes a dialog. */
-  #escape(event) {
-    const mayMove = !this.ended || this.isGoingOn;
-    if (event.key !== "Escape" || !mayMove || document.querySelector("dialog[open]")) return;
-    this.#stop();
-  }
-
-  async #stop() {
-    this.error.say(null);
-    try {
-      await post(`/api/rigs/${encodeURIComponent(this.run.rig)}/stop`);
     } catch (error) {
       this.#say(error);
     }

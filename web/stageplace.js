@@ -1,7 +1,7 @@
 // The position of a stage without homing, entered by the user who starts or resumes a run.
 
 import { get } from "./api.js";
-import { field, fill, h, runName } from "./dom.js";
+import { field, fill, h, runName, unfold } from "./dom.js";
 
 const ASKED_FOR = "--stage-at"; // in the error of a run that needs the position
 
@@ -22,11 +22,11 @@ export function placeField() {
   };
 }
 
-/** The folded field; `look()` opens it if the last run on `rigName()` failed without it. */
+/** The field; `look()` unfolds it if the last run on `rigName()` failed without it. */
 export function stagePlace(rigName, signal) {
   const place = placeField();
   const why = h("p", { id: "stage-at-why", class: "muted" });
-  const element = h("details", { id: "stage-place" }, h("summary", {}, "Stage without homing"), why, place.element);
+  const element = h("div", { id: "stage-place" }, place.element, why);
 
   async function look() {
     const rig = rigName();
@@ -35,12 +35,12 @@ export function stagePlace(rigName, signal) {
     if (rig !== rigName()) return;
     const [last] = items;
     const isAskedFor = Boolean(last?.error?.includes(ASKED_FOR));
-    element.open = isAskedFor || place.value() !== null;
+    if (isAskedFor) unfold(element);
     fill(
       why,
       isAskedFor
         ? `The last run on this rig, ${runName(last.id)}, needs the position: ${last.error}`
-        : "Needed only if the service does not know the position, or if the stage was rotated by hand.",
+        : "Only for a stage without homing that was rotated by hand or has lost its position.",
     );
   }
 

@@ -3,6 +3,7 @@
 import { get, post } from "./api.js";
 import {
   attempt,
+  button,
   card,
   dataTable,
   errorLine,
@@ -26,10 +27,10 @@ import { stagePlace } from "./stageplace.js";
 const OPERATOR_KEY = "calrig.operator";
 const TOUCH = window.matchMedia("(pointer: coarse)"); // where a focus would open the keyboard over the page
 
-/** The address can fill the form: `#/?unit=AS-1&rig=bench-1&mounts=0,120,240&axis=x`. */
+/** The address can fill the form: `#/?unit=AS-1&rig=bench-1&mounts=0,120,240&axis=x`, or `#/?again=RUN` as a run was. */
 export async function startView({ root, query, signal }) {
-  const rigs = await get("/api/rigs", signal);
-  const { form, place, unit } = startForm(rigs, query, signal);
+  const [rigs, before] = await Promise.all([get("/api/rigs", signal), runAgain(query.get("again"), signal)]);
+  const { form, place, unit } = startForm(rigs, before, query, signal);
   const rigList = h("ul", { class: "rigs", "data-testid": "rigs" });
   const runs = runList(rigs, query, signal);
   showRigs(rigList, rigs);
@@ -45,20 +46,24 @@ export async function startView({ root, query, signal }) {
   keepFresh(rigList, runs, rigs, signal);
 }
 
-function startForm(rigs, query, signal) {
-  const rig = select({ id: "rig" }, rigs.map(({ name }) => name), query.get("rig"));
-  const unit = serialInput(query.get("unit"));
+const runAgain = (id, signal) => (id ? get(`/api/runs/${encodeURIComponent(id)}`, signal) : null);
+
+function startForm(rigs, before, query, signal) {
+  const rig = select({ id: "rig" }, rigs.map(({ name }) => name), before?.rig ?? query.get("rig"));
+  const unit = serialInput(before?.unit ?? query.get("unit"));
   const operator = h("input", {
     id: "operator",
     type: "text",
     autocomplete: "name",
     value: localStorage.getItem(OPERATOR_KEY),
   });
-  const note = h("input", { id: "note", type: "text", autocomplete: "off" });
+  const note = h("input", { id: "note", type: "text", autocomplete: "off", value: before?.note });
   const plan = planForm(() => ({ rig: rig.value || null, unit: unit.value }), signal);
-  plan.prefill(query);
+  if (before?.plan) plan.take(before.plan);
+  else plan.prefill(query);
   const place = stagePlace(() => rig.value, signal);
   const error = errorLine("start-error");
+  const busy = h("p", { id: "rig-busy", class: "cautions", role: "alert", hidden: true });
   unit.addEventListener("change", () => plan.estimate());
   rig.addEventListener("change", () => {
     plan.estimate();
@@ -73,29 +78,52 @@ function startForm(rigs, query, signal) {
       { class: "fields two" },
       field("unit", "Serial number", unit),
       field("rig", "Rig", rig),
-      field("operator", "Operator (optional)", operator),
-      field("note", "Note (optional)", note),
     ),
-    plan.designer,
     plan.element,
-    place.element,
     error.element,
+    busy,
     h("div", { class: "buttons" }, start),
+    h(
+      "details",
+      { id: "run-more" },
+      h("summary", {}, "Operator, note, stage position"),
+      h("div", { class: "fields two" }, field("operator", "Operator (optional)", operator), field("note", "Note (optional)", note)),
+      place.element,
+    ),
   );
-  const send = async () => {
+  const begin = async (queue) => {
+    busy.hidden = true;
     localStorage.setItem(OPERATOR_KEY, operator.value);
-    const run = await post("/api/runs", {
+    const body = {
       rig: rig.value || null,
       unit: unit.value,
       plan: plan.value(),
       operator: operator.value || null,
       note: note.value || null,
       stage_at_deg: place.value(),
-    });
-    location.hash = runHref(run.id);
+      queue,
+    };
+    location.hash = runHref((await post("/api/runs", body)).id);
   };
-  onSubmit(form, start, error, send);
+  const queueUp = button("Queue this run", () => attempt([queueUp], error, () => begin(true)), { id: "queue-run" });
+  const send = async () => {
+    try {
+      await begin(false);
+    } catch (problem) {
+      const run = problem.status === 409 && (await runOn(rig.value));
+      if (!run) throw problem;
+      fill(busy, `Rig ${rig.value} is busy with `, runLink(run, "run "), ". ", queueUp);
+      busy.hidden = false;
+    }
+  };
+  onSubmit(form, start, error, () => plan.begin(send));
   return { form, place, unit };
+}
+
+/** The run that keeps a rig busy, or null. */
+async function runOn(name) {
+  const rigs = await get("/api/rigs");
+  return rigs.find((rig) => rig.name === name && rig.state === "busy")?.run_id;
 }
 
 function showRigs(list, rigs) {

@@ -22,6 +22,17 @@ export function preferRig(name) {
   window.dispatchEvent(new Event("calrig:prefer"));
 }
 
+/** Has the Escape key stop the rigs that `moving()` names while a view is open, unless it closes a dialog. */
+export function stopsOnEscape(moving, signal) {
+  const pressed = (event) => {
+    if (event.key !== "Escape" || event.repeat || document.querySelector("dialog[open]")) return;
+    const names = moving();
+    if (names.length > 1) stopAll(names.map((name) => ({ name })), document.getElementById("stop-line"));
+    else if (names.length) stopRig(names[0]);
+  };
+  window.addEventListener("keydown", pressed, { signal });
+}
+
 /**
  * Fills `place` with a button for each rig and one for all, in configured order, a page's own rig first. While a page is
  * shown, no button changes its rig under the pointer. Many rigs share a list; if they are in several halls, the last
@@ -98,6 +109,11 @@ function chosenRig(rigs, known, line) {
 
 const hallName = (hall) => hall ?? "no hall";
 
+/** Stops a rig; the header shows the outcome. */
+export function stopRig(name) {
+  return stop(name, document.getElementById("stop-line"));
+}
+
 async function stop(name, line) {
   say(line, `Stopping ${name}…`, "muted");
   const { state, run_id: run, problem } = await request(name);
@@ -126,8 +142,14 @@ async function stopAll(rigs, line) {
   calmLater(line);
 }
 
-/** The service's answer, or the `problem`. */
-async function request(name) {
+/** The service's answer, or the `problem`. The event "calrig:stop" tells the view which rig it is, and the answer. */
+function request(name) {
+  const answer = asked(name);
+  window.dispatchEvent(new CustomEvent("calrig:stop", { detail: { name, answer } }));
+  return answer;
+}
+
+async function asked(name) {
   try {
     return await post(`/api/rigs/${encodeURIComponent(name)}/stop`);
   } catch (problem) {

@@ -65,7 +65,7 @@ export async function usersView({ root, signal }) {
 /** What each role permits. */
 function explained() {
   const lines = Object.entries(ROLES).map(([name, may]) => [h("strong", {}, name), `: ${may}`]);
-  const summary = h("summary", {}, "Permissions of each role, in addition to those above it");
+  const summary = h("summary", {}, "Permissions (each role includes those above)");
   return h("details", {}, summary, bullets(lines));
 }
 

@@ -48,7 +48,8 @@ export class WaitingCard {
     const now = fixed(mount_deg, 0, "°");
     const isRight = Math.abs(left) <= RIGHT_DEG;
     this.now.classList.toggle("right", isRight);
-    this.now.textContent = `Now at ${now}: ${isRight ? "within tolerance" : `rotate it by ${fixed(left, 0, "°")}`}.`;
+    const further = left < 0 ? `Turn back by ${fixed(-left, 0, "°")}.` : `Turn by a further ${fixed(left, 0, "°")}.`;
+    this.now.textContent = `Now at ${now}. ${isRight ? "Within tolerance." : further}`;
   }
 
   #button(id, text, kind, work) {

@@ -210,8 +210,8 @@ def _says(named: CheckUnit, state: str, due_at: datetime, *, overdue: bool) -> s
     if state == "failed":
         return f"Check unit {named.unit} fails: the rig, or the unit, has changed since it last passed. {due}"
     return (
-        f"Nothing can be said yet: it takes two runs of {named.unit} on this rig, and units that were "
-        f"calibrated more than once, to know what remounting adds. {due}"
+        f"Rig drift: not yet checked. Measure {named.unit} twice on this rig, and some units more than once, "
+        f"which shows the effect of remounting. {due}"
     )
 
 

@@ -45,11 +45,8 @@ def holds(store: Store, rig: str, kept: Document) -> Document:
         found = _held(store, now, before, stage_map)
         if found is not None:
             return _document(now, before, found)
-    who = "a unit" if named is None else f"check unit {named.unit}"
-    says = (
-        f"Not known: it takes {who} that was on this rig when the map was made, or since, and again after; "
-        "two sweeps each way, over the same elevations."
-    )
+    who = "the same unit" if named is None else f"check unit {named.unit}"
+    says = f"Map stability: not yet checked. Measure {who} again, two sweeps each way."
     nothing = dict.fromkeys(("unit", "run_id", "baseline_run_id", "p_value", "largest_deg", "largest_at_deg"))
     return {"state": "not_known", "says": says, **nothing, "at_deg": []}
 

@@ -102,10 +102,10 @@ class Mounting:
         left_deg = self.deg - self.clamped_at(stage_deg, angle_deg)
         if abs(left_deg) <= MOST_OFF_DEG:
             return None
-        way = "on" if left_deg > 0 else "back"
+        way = "by a further" if left_deg > 0 else "back by"
         return (
-            f"the unit is turned by {self.deg - left_deg:.1f}°, not {self.deg:g}°: "
-            f"turn it {way} by {abs(left_deg):.1f}°"
+            f"the unit is clamped at {self.deg - left_deg:.1f}°, not {self.deg:g}°: "
+            f"turn it {way} {abs(left_deg):.1f}°"
         )
 
 

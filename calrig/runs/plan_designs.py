@@ -75,10 +75,10 @@ def settling_of(rig: RigSettings, plan: Plan, store: Store | None) -> Settling:
         runs, _ = store.runs.page(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)
         for run in runs:
             if not run.voided and (rang_s := _rang_s(store, run)) is not None:
-                when = f"later than {rang_s:.2f} s" if rang_s else "once the stage had arrived"
-                said = f"in run {short_name(run.id)} the gyro felt nothing of them {when}"
+                seen = f"vibration ended {rang_s:.2f} s after the move" if rang_s else "no settling seen"
+                said = f"{seen} in run {short_name(run.id)}"
                 return Settling(max(LEAST_S, round(rang_s, 2)), said, _gyro(rig, plan, run))
-    return Settling(plan.settle_s, "no run on this rig tells when it stands still", None)
+    return Settling(plan.settle_s, "as entered; no run on this rig shows it yet", None)
 
 
 def _rang_s(store: Store, run: Run) -> float | None:
@@ -425,36 +425,36 @@ def _says(asked: DesignInputs, task: DesignProblem, design: Design, whole: Desig
     said = [f"{precision.said[0].upper()}{precision.said[1:]}.", *_how_it_moves(asked, task, whole)]
     if task.type_b is None:
         said.append(
-            "The rig says of no reference what its angle is worth, so that no expanded uncertainty is known."
+            "The rig has no `reference` in calrig.toml, so the expanded uncertainty is unknown."
         )
     if task.until:
         said.append(
-            f"It ends as soon as that is reached: after about {len(design.elevations_deg)} of its "
-            f"{len(whole.elevations_deg)} poses where readings scatter as before, and after "
+            f"The run ends when it reaches the target: after about {len(design.elevations_deg)} of "
+            f"{len(whole.elevations_deg)} poses if readings scatter as before, after "
             f"{whole.duration_s:.0f} s at most."
-            + (" What it would show of effects is told for all of its poses." if task.trace else "")
+            + (" Detectable effects are stated for all poses." if task.trace else "")
         )
     shown = [one for one in whole.suspects if one.rms_deg < 1e6]
     if shown:
         least = max(shown, key=lambda one: one.rms_deg)
         said.append(
-            f"Of the effects that moving shows, each that leaves {least.rms_deg:.2g}° (RMS) or more in "
-            f"calibrated readings would be detected with a power of some 80 %; the hardest is: {least.title}."
+            f"An effect of {least.rms_deg:.2g}° RMS or more in calibrated readings is detected with a power "
+            f"of about 80 %. Hardest to detect: {least.title}."
         )
-        said += [f"{one.title} is shown by dwells alone." for one in whole.suspects if one not in shown]
+        said += [f"{one.title}: detected by dwells only." for one in whole.suspects if one not in shown]
     elif not task.trace:
-        said.append("Effects are not to be traced: what bends between the ends stays unseen.")
+        said.append("Effects are not traced: errors between the two ends stay undetected.")
     return tuple(said)
 
 
 def _how_it_moves(asked: DesignInputs, task: DesignProblem, whole: Design) -> list[str]:
     waits_s, settling = task.pace.settle_s, asked.settling
-    because = "" if waits_s <= settling.least_s else ", and the filter has forgotten the moves"
-    waits = f"It waits {waits_s:g} s after each move: {settling.said}{because}."
+    because = "" if waits_s <= settling.least_s else "; the filter needs this time to forget the move"
+    waits = f"Settling time after each move {waits_s:g} s: {settling.said}{because}."
     if whole.sweep is not None:
         return [
-            f"It turns {whole.sweep.passes} times through the range at {whole.sweep.velocity_dps:.3g}°/s "
-            "without stopping; its run is refused where the motor's vibration biases the accelerometer.",
-            waits.replace("each move", "each pass"),
+            f"{whole.sweep.passes} continuous traverses at {whole.sweep.velocity_dps:.3g}°/s. The run is "
+            "refused if the motor's vibration biases the accelerometer.",
+            waits.replace("each move", "each traverse"),
         ]
-    return [waits] if asked.no_sweep is None else [waits, f"It stops for each pose: {asked.no_sweep}."]
+    return [waits] if asked.no_sweep is None else [waits, f"No continuous sweep: {asked.no_sweep}."]

@@ -30,14 +30,15 @@ from calrig.store.records import Document, map_of
 ASSUMED_VELOCITY_DPS = 20.0
 """Of a stage that no run has asked yet; with the acceleration, an ordinary SMC100's."""
 ASSUMED_ACCELERATION_DPS2 = 80.0
-HOMING_AND_START_S = 5.0
-"""Opening both ports and homing, where no run tells whether the stage homes and from where."""
+HOMING_S = 4.0
+"""Homing, where no run tells whether the stage homes and from where."""
 START_S = 1.0
-"""Opening both ports and asking who answers, beside the board's clock."""
+"""Opening both ports and identifying the devices, by the wall clock."""
 HOMING_SHARE = 0.5
 """Of its velocity, at which an ordinary stage looks for its reference."""
-QUESTIONS_S = 0.12
-"""A pose's questions to stage and board, on simulated rigs of each kind."""
+QUESTIONS_S = 0.15
+"""Communication time of a pose by the wall clock: 0.12 s of exchanges with stage and board, on simulated rigs of
+each kind, and 0.03 s to compute and store the pose. A simulated rig's board counts `time_scale` as much."""
 RUNS_LOOKED_AT = 10
 FEWEST_GAPS, FEWEST_PASSES = 4, 1
 TRIMMED = 0.1
@@ -59,7 +60,7 @@ class RigTiming:
     velocity_dps: float = ASSUMED_VELOCITY_DPS
     acceleration_dps2: float = ASSUMED_ACCELERATION_DPS2
     questions_s: float = QUESTIONS_S
-    begin_s: float = HOMING_AND_START_S
+    begin_s: float = START_S + HOMING_S
     stands_deg: float = 0.0
     pass_s: float = QUESTIONS_S
 
@@ -76,18 +77,19 @@ class RigTiming:
 def rig_pace(rig: RigSettings, store: Store | None) -> RigTiming:
     """As the last run that a rig completed shows it; assumed where there is none."""
     runs = [] if store is None else store.runs.page(rig=rig.name, status="completed", limit=RUNS_LOOKED_AT)[0]
+    start_s, assumed_s = START_S * rig.time_scale, QUESTIONS_S * rig.time_scale
     if store is None or not runs:
-        return RigTiming()
+        return RigTiming(questions_s=assumed_s, begin_s=start_s + HOMING_S, pass_s=assumed_s)
     velocity_dps, acceleration_dps2 = _speed(runs[0], rig)
     stopping = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if run.kind != "sweep")
     turning = (_beside_s(run, _poses(store, run), _speed(run, rig)) for run in runs if run.kind == "sweep")
-    questions_s = next((one for one in stopping if one is not None), QUESTIONS_S)
+    questions_s = next((one for one in stopping if one is not None), assumed_s)
     pass_s = next((one for one in turning if one is not None), questions_s)
     stands_deg = next((poses[-1].target_deg for run in runs if (poses := _poses(store, run))), None)
     if stands_deg is None:
-        return RigTiming(velocity_dps, acceleration_dps2, questions_s, pass_s=pass_s)
+        return RigTiming(velocity_dps, acceleration_dps2, questions_s, start_s + HOMING_S, pass_s=pass_s)
     homes = runs[0].provenance.get("stage", {}).get("homes_each_time", False)
-    begin_s = START_S + (abs(stands_deg) / (HOMING_SHARE * velocity_dps) if homes else 0.0)
+    begin_s = start_s + (abs(stands_deg) / (HOMING_SHARE * velocity_dps) if homes else 0.0)
     begins_deg = 0.0 if homes else stands_deg
     return RigTiming(velocity_dps, acceleration_dps2, questions_s, begin_s, begins_deg, pass_s)
 
@@ -125,12 +127,29 @@ def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> fl
         poses: of it.
         speed: velocity and acceleration of its stage, in elevation.
     """
+    gaps_s = _gaps_s(run, poses, speed)
+    return None if gaps_s is None else max(0.0, _trimmed_mean(gaps_s))
+
+
+def paused_s(run: Run, poses: Sequence[Pose], rig: RigSettings) -> float:
+    """What lay between the dwells of a completed run beyond what is usual there: pauses, by the board's clock."""
+    gaps_s = _gaps_s(run, poses, _speed(run, rig))
+    return 0.0 if gaps_s is None else max(0.0, sum(gaps_s) - len(gaps_s) * _trimmed_mean(gaps_s))
+
+
+def _trimmed_mean(sorted_s: Sequence[float]) -> float:
+    trimmed = int(TRIMMED * len(sorted_s))
+    return fmean(sorted_s[trimmed : len(sorted_s) - trimmed])
+
+
+def _gaps_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> list[float] | None:
+    """Time between one dwell and the next beside move, settling and dwell, ascending; arguments as above."""
     if not _tells(run):
         return None
     plan, pace, turns = Plan.model_validate(run.plan), RigTiming(*speed), run.kind == "sweep"
     velocity_dps = plan.turn_dps if turns else plan.velocity_dps
     dwells = [pose for pose in poses if pose.settle_s is not None][1:] if turns else poses
-    beside_s = sorted(
+    gaps_s = sorted(
         after.time_s
         - before.time_s
         - plan.settle_s
@@ -141,10 +160,7 @@ def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> fl
         and before.time_s is not None
         and (before.sweep == after.sweep or (turns and not plan.wait_s))
     )
-    if len(beside_s) < (FEWEST_PASSES if turns else FEWEST_GAPS):
-        return None
-    trimmed = int(TRIMMED * len(beside_s))
-    return max(0.0, fmean(beside_s[trimmed : len(beside_s) - trimmed]))
+    return gaps_s if len(gaps_s) >= (FEWEST_PASSES if turns else FEWEST_GAPS) else None
 
 
 SEATS_SAY = (
@@ -263,7 +279,8 @@ def _pace_of(run: Run, rig: RigSettings, store: Store) -> float | None:
         said_s = estimate(plan, rig, store).duration_s
     except Invalid:
         return None  # of other limits than today's
-    return (run.finished_at - run.started_at).total_seconds() / said_s
+    expected_s = said_s + paused_s(run, _poses(store, run), rig)
+    return (run.finished_at - run.started_at).total_seconds() / expected_s
 
 
 REACHED = Ending(may_be_early=True, stopped_by="until")
@@ -350,8 +367,8 @@ def require_reachable(
         return
     if in_force is None and rig.reference is None:
         raise Invalid(
-            f"rig {rig.name!r} has no `reference`, so its expanded uncertainty is unknown and cannot end a "
-            "run: add `reference` to the rig, or remove this goal",
+            f"rig {rig.name!r} has no `reference` in calrig.toml, so its expanded uncertainty is unknown and "
+            "cannot end a run: add it there, or remove this goal",
             [PLACE],
         )
     if in_force is None and rig.reference is not None and rig.reference.map is not None:

@@ -21,7 +21,7 @@ def test_the_default_plan_is_told_for_the_first_rig(shared_client):
         (
             {"plan": {"until": {"expanded_uncertainty_deg": 0.3, "bias_std_deg": 0.1}}},
             422,
-            "below what the stage's angle is worth: 0.477° is left",
+            "cannot be reached: the stage's uncertainty alone makes it 0.477°",
         ),
         ({"plan": {"step_deg": None}}, 422, "Step is not a number"),
         ({"rig": "elsewhere"}, 404, "no rig 'elsewhere'"),
@@ -102,7 +102,7 @@ def test_a_plan_for_a_time_says_in_how_little_as_much_could_be_reached(shared_cl
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [
-        ({"target_u_deg": 0.1}, "below what the stage's angle is worth"),
+        ({"target_u_deg": 0.1}, "cannot be reached"),
         ({"time_s": 3}, "3 s are too few"),
         ({}, "what is to be reached (target_u_deg, until) or a time"),
         ({"target_u_deg": 0.5, "time_s": 60}, "what is to be reached (target_u_deg, until) or a time"),

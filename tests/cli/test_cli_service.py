@@ -209,7 +209,7 @@ def test_a_unit_to_be_turned_is_asked_for_on_the_terminal(there, folder):
     done = CliRunner().invoke(app, arguments, input="\nc\n", catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert re.search(r"90°.* press Enter \(c and Enter", done.stderr)
-    assert "turn it on by 90" in done.stderr.replace("89.", "90.").replace("91.", "90.")
+    assert "turn it by a further 90" in done.stderr.replace("89.", "90.").replace("91.", "90.")
     assert json.loads(done.stdout)["progress"]["poses_done"] == 6
     of_unit = calrig("export", "--unit", "E", "--format", "csv").stdout
     assert of_unit.splitlines()[0].endswith(",mount,mount_axis")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from run_rigs import CLOCK, plan
+from run_rigs import CLOCK, plan, until
 
 from calrig.analysis.errors import Invalid
-from calrig.runs.plan_estimates import estimate
+from calrig.runs.plan_estimates import estimate, paused_s
 
 PACE = {"velocity_dps": 20.0, "acceleration_dps2": 80.0, "homing_velocity_dps": 10.0}
 SCALE = 3.0
@@ -40,7 +40,32 @@ def test_a_stage_that_no_run_has_asked_is_taken_for_an_ordinary_one(make_rig, se
     bench = make_rig("new")
     expected = estimate(plan(elevations_deg=[-60, 60], sweeps=3), bench.settings, serve(bench).store)
     assert (expected.n_poses, expected.elevations_deg) == (6, [-60, 60])
-    assert expected.duration_s == pytest.approx(5 + 3.25 + 3 * 6.25 + 6 * 1.62)  # trapezia at 20°/s, 80°/s²
+    assert expected.duration_s == pytest.approx(5 + 3.25 + 3 * 6.25 + 6 * 1.65)  # trapezia at 20°/s, 80°/s²
+
+
+def test_the_first_run_of_a_rig_whose_clock_is_fast_is_told_with_what_its_exchanges_take(make_rig, serve):
+    """As the simulated rig's of a fresh installation: its board counts six seconds for one of the exchanges'."""
+    scale = 6.0
+    bench = make_rig("fresh", time_scale=scale, stage=PACE)
+    service = serve(bench)
+    chosen = plan(elevations_deg=None, sweeps=4, settle_s=1.0, dwell_s=2.0, rate_hz=20)
+    told = estimate(chosen, bench.settings.model_copy(update={"time_scale": scale}), service.store)
+    began_s = CLOCK.now_s()
+    assert service.wait(service.start(unit="AS-1", plan=chosen).id, 300).status == "completed"
+    assert told.duration_s / scale == pytest.approx(CLOCK.now_s() - began_s, rel=0.1)
+
+
+def test_a_pause_of_the_last_run_is_not_expected_of_the_next(make_rig, serve):
+    bench = make_rig("paused", time_scale=1.0, stage=PACE)
+    service = serve(bench)
+    run = service.start(unit="AS-1", plan=plan(elevations_deg=None, step_deg=5, sweeps=1, rate_hz=20))
+    service.pause(run.id)
+    until(lambda: service.store.runs.get(run.id).status == "paused", "a pause")
+    CLOCK.sleep(60.0)
+    service.resume(run.id)
+    run = service.wait(run.id, 300)
+    poses = [stored.pose for stored in service.store.poses.of(run.id)]
+    assert paused_s(run, poses, bench.settings) == pytest.approx(60.0, abs=3.0)
 
 
 def test_a_plan_that_the_rig_would_refuse_is_refused(bench, service):

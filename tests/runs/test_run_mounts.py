@@ -70,13 +70,13 @@ def test_it_waits_for_each_mount_and_refuses_to_go_on_where_gravity_disagrees(
     waits(service, run, 120)
     stood_deg, done = bench.table_deg(bench.now_s), len(store.poses.of(run.id))
     assert done == 2
-    with pytest.raises(Conflict, match=r"turned by \S*°, not 120°: turn it on by 1[12]\d\.\d°"):
+    with pytest.raises(Conflict, match=r"clamped at \S*°, not 120°: turn it by a further 1[12]\d\.\d°"):
         service.resume(run.id)
     clamp(bench, 93)
-    with pytest.raises(Conflict, match=r"turned by 9[2345]\.\d°, not 120°: turn it on by 2[5678]\.\d°"):
+    with pytest.raises(Conflict, match=r"clamped at 9[2345]\.\d°, not 120°: turn it by a further 2[5678]\.\d°"):
         service.resume(run.id)
     clamp(bench, 120, "y")
-    with pytest.raises(Conflict, match=r"unit's x does not lie along the stage's axis|turned by"):
+    with pytest.raises(Conflict, match=r"unit's x does not lie along the stage's axis|clamped at"):
         service.resume(run.id)
     assert service.run(run.id).status == "paused"
     assert bench.table_deg(bench.now_s) == pytest.approx(stood_deg, abs=1e-3)

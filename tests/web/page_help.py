@@ -38,6 +38,11 @@ def ambiguous_poses():
     return ["target_deg,reading_deg,approach", "-60,-59.2,0", *poses]
 
 
+def unfold_plan(page):
+    """Opens the fields of the plan, of which the form shows one line."""
+    page.locator("#plan-fields > summary").click()
+
+
 def cancelled_by_who_comes_back(page, expect, work):
     """Work that stands at 40 % says so, after a reload as well, and is cancelled there."""
     expect(page.locator(f"#{work}-says")).to_contain_text("40 % of it is done")

@@ -6,7 +6,7 @@ import pytest
 from simulated_devices import Counterpart, plug
 from support import LONG, wait_for
 
-from .page_help import line_x, readings, unfold, until_pose
+from .page_help import line_x, readings, unfold, unfold_plan, until_pose
 
 pytestmark = pytest.mark.browser
 
@@ -15,6 +15,7 @@ REFUSED_422 = r"status of 422"
 
 
 def fill_quick_plan(page):
+    unfold_plan(page)
     page.get_by_label("List", exact=True).check()
     page.fill("#elevations_deg", "−40, 0; 40")
     page.fill("#sweeps", "2")
@@ -26,6 +27,7 @@ def test_start_is_pressed_and_the_run_watched_to_its_result(page, client, go, ex
     go("#/")
     expect(page.locator("#plan-summary")).to_contain_text("52 poses")
     page.fill("#unit", "MPU-1")
+    page.locator("#run-more > summary").click()
     page.fill("#operator", "A. Person")
     page.fill("#note", "first one")
     fill_quick_plan(page)
@@ -133,6 +135,7 @@ def test_a_plan_beyond_the_limits_is_refused_beside_the_button_and_nothing_start
     forgiven.append(REFUSED_422)
     go("#/")
     page.fill("#unit", "REFUSED")
+    unfold_plan(page)
     page.fill("#stop_deg", "120")
     expect(page.locator("#plan-summary")).to_contain_text("soft limits")
     page.click("#start")

@@ -13,9 +13,9 @@ pytestmark = pytest.mark.browser
 def test_how_a_unit_came_is_said_and_its_certificate_handed_out(page, client, go, expect):
     imported(client, "CERT-1")
     go("#/units/CERT-1")
-    page.get_by_role("button", name="Item as received…").click()
+    page.get_by_role("button", name="Customer and receipt…").click()
     page.get_by_label("Customer", exact=True).fill("ACME & Søn")
-    page.get_by_label("by the customer: Customer", exact=True).check()
+    page.get_by_label("stated by the customer: Customer", exact=True).check()
     page.get_by_label("Date of receipt", exact=True).fill("2026-11-01")
     page.get_by_test_id("confirm").click()
     expect(page.get_by_role("dialog")).to_have_count(0)

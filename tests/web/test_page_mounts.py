@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from support import running_service, serving
 
+from .page_help import unfold_plan
+
 pytestmark = pytest.mark.browser
 
 
@@ -20,6 +22,7 @@ def test_a_run_asks_for_the_unit_to_be_turned_and_goes_on_once_it_is(page, clien
     go("#/?unit=AS-M&mounts=0,120")
     expect(page.locator("#unit")).to_have_value("AS-M")
     expect(page.locator("#mounts_deg")).to_have_value("0, 120")
+    unfold_plan(page)
     page.fill("#mounts_deg", "0, 360")
     expect(page.locator("#plan-summary")).to_contain_text("0° and 360° are one mount")
     page.fill("#mounts_deg", "0, 120")
@@ -30,7 +33,7 @@ def test_a_run_asks_for_the_unit_to_be_turned_and_goes_on_once_it_is(page, clien
     expect(page.locator("#plan-summary")).to_contain_text("2 poses per mounting")
     page.click("#start")
     expect(page.locator("#waiting-for")).to_contain_text("120°")
-    expect(page.locator("#mount-now")).to_contain_text("rotate it by 1")
+    expect(page.locator("#mount-now")).to_contain_text("Now at 0°. Turn by a further 1")
     page.click("#go")
     expect(page.locator("#waiting-error")).to_contain_text("not 120°")
     run_id = page.url.rpartition("/")[2]

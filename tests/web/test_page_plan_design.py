@@ -10,7 +10,7 @@ from support import wait_for
 
 from calrig.api import jobs, plans
 
-from .page_help import row_of
+from .page_help import row_of, unfold_plan
 from .slow_work import LET_GO, slow_answer
 
 pytestmark = pytest.mark.browser
@@ -26,6 +26,7 @@ def test_a_plan_is_designed_taken_by_the_form_and_ends_once_it_is_good_enough(
     go("#/")
     page.set_viewport_size(PHONE)
     page.fill("#unit", "AS-D")
+    unfold_plan(page)
     page.locator("#designer summary").click()
     page.fill("#target_u_deg", "0.1")
     page.press("#target_u_deg", "Enter")
@@ -40,7 +41,7 @@ def test_a_plan_is_designed_taken_by_the_form_and_ends_once_it_is_good_enough(
     found = axe.Axe().run(page, context="#designer")
     assert found.violations_count == 0, found.generate_report()
     page.click("#use-plan")
-    expect(page.locator("#plan-summary")).to_contain_text("28 poses, at most about")
+    expect(page.locator("#plan-summary")).to_contain_text("28 poses, −60° to 60°, at most about")
     page.fill("#settle_s", "0.3")
     page.click("#start")
     expect(page.locator("#status")).to_have_text("completed")
@@ -55,6 +56,7 @@ def test_a_design_that_takes_long_shows_how_far_it_is_and_may_be_cancelled(page,
     monkeypatch.setattr(plans, "answer", slow_answer)
     LET_GO.unlink(missing_ok=True)
     go("#/")
+    unfold_plan(page)
     page.locator("#designer summary").click()
     page.fill("#time_s", "900")
     page.click("#design")
@@ -68,7 +70,7 @@ def test_a_design_that_takes_long_shows_how_far_it_is_and_may_be_cancelled(page,
     LET_GO.unlink()
     page.click("#use-plan")
     expect(page.locator("#as-turns")).to_be_checked()
-    expect(page.locator("#plan-summary")).to_contain_text("poses, about")
+    expect(page.locator("#plan-summary")).to_contain_text("°, about")
 
 
 def test_a_log_is_kept_on_the_rig_and_its_noise_shown(page, go, expect):

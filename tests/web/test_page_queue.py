@@ -7,6 +7,8 @@ import re
 import pytest
 from support import LONG, running_service, serving, wait_for
 
+from .page_help import unfold_plan
+
 pytestmark = pytest.mark.browser
 SHORT = {"elevations_deg": [0, 20], "sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5}
 LISTENING = """
@@ -42,6 +44,7 @@ def pressed(page, expect, instruction, card=None):
 def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(page, client, go, expect):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed").Axe()
     go("#/queue/new")
+    unfold_plan(page)
     page.get_by_label("List").check()  # a reader types wherever the focus is
     page.keyboard.type("PQ-1\nPQ-1\n")
     expect(page.locator("#units-count")).to_contain_text("1 unit; duplicates")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from support import QUICK, ended, running_service, serving
 
+from .page_help import unfold_plan
+
 pytestmark = pytest.mark.browser
 
 PLAN = {**QUICK, "sweeps": 1}
@@ -30,6 +32,7 @@ def client(service):
 def start(page, expect, stage_at=None):
     """Starts a run on the page, and returns where its status is shown."""
     page.fill("#unit", "A")
+    unfold_plan(page)
     page.get_by_label("List", exact=True).check()
     page.fill("#elevations_deg", "−40, 0; 40")
     page.fill("#sweeps", "1")
@@ -48,7 +51,7 @@ def test_the_place_is_asked_for_where_a_run_has_failed_for_want_of_it(
     first = client.post("/api/runs", json={"unit": "A", "plan": PLAN}).raise_for_status().json()
     assert ended(client, first["id"])["status"] == "completed"
     go("#/")
-    expect(page.locator("#stage-place summary")).to_have_text("Stage without homing")
+    expect(page.locator("#run-more summary")).to_have_text("Operator, note, stage position")
     expect(page.locator("#stage_at_deg")).to_be_hidden()  # nobody needs it
 
     service.store.positions.save("stepper", None)  # as a power cut in mid-move leaves it

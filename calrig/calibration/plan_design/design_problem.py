@@ -85,10 +85,10 @@ class TypeB:
         if goals.expanded_deg is None or goals.expanded_deg > self.least_deg:
             return None
         return (
-            f"an expanded uncertainty of {goals.expanded_deg:g}° is below what the stage's angle is worth: "
-            f"{self.least_deg:.3g}° is left however many poses there are; a better reference reaches it: a "
-            "certificate of less, or the stage's own map, which `calrig solve` finds of a unit clamped at "
-            "0°, 120° and 240°"
+            f"an expanded uncertainty of {goals.expanded_deg:g}° cannot be reached: the stage's uncertainty "
+            f"alone makes it {self.least_deg:.3g}°, however many poses there are. Ask for more, or improve "
+            "the reference: a stage certificate with a smaller uncertainty, or a stage map, which Solve "
+            "finds from runs of one unit clamped at 0°, 120° and 240°"
         )
 
 

@@ -61,19 +61,18 @@ def precision_of_run(
     """
     from scipy.special import chdtri
 
-    said = f"a reading of {dwell_s:g} s is good to {stderr_deg:.2g}° within its dwell, and poses scatter by "
+    said = f"noise of a {dwell_s:g} s reading: {stderr_deg:.2g}°"
     if freedom * scatter_deg**2 <= float(chdtri(freedom, BEYOND_CHANCE)) * stderr_deg**2:
-        said += f"no more than that and chance: run {run_id}"
-        return Precision(stderr_deg * math.sqrt(dwell_s), 0.0, said)
+        return Precision(stderr_deg * math.sqrt(dwell_s), 0.0, f"{said}, from run {run_id}")
     pose_deg = math.sqrt(scatter_deg**2 - stderr_deg**2)
-    said += f"{pose_deg:.2g}° beyond that: run {run_id}"
+    said += f"; further scatter between poses: {pose_deg:.2g}°, from run {run_id}"
     return Precision(stderr_deg * math.sqrt(dwell_s), pose_deg, said)
 
 
 NOT_MEASURED = Precision(
     DATA_SHEET_WHITE,
     0.0,
-    "no completed run of this rig tells the noise: that of an MPU-6050's data sheet is assumed",
+    "no completed run on this rig yet: the noise of an MPU-6050's data sheet is assumed",
 )
 
 
