@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Callable
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, BackgroundTasks, Path, Query, Response
+from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
 import calrig
@@ -16,7 +15,7 @@ from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.errors import Invalid
 from calrig.analysis.run_search import found_runs, moment_of
 from calrig.api.access import Who, requires
-from calrig.api.context import ApiContext, Context, KnownRun
+from calrig.api.context import Context, KnownRun
 from calrig.api.errors import problems
 from calrig.api.jobs import answer_of
 from calrig.api.models import (
@@ -39,12 +38,8 @@ from calrig.model.service import RigState, Role
 from calrig.run_ids import FEWEST
 from calrig.store import Run
 from calrig.store.convert import iso_utc
-from calrig.store.errors import StoreError
 from calrig.store.runs import RunKind, Sought
-from calrig.store.trail import Act, What
 from calrig.store.verdicts import Judged
-
-log = logging.getLogger(__name__)
 
 router = APIRouter(tags=["runs"])
 BACK_TO = "Calrig-Back-To"
@@ -112,13 +107,13 @@ async def scan(context: Context) -> object:
     responses=problems(404, 409),
     summary="Stop a rig's stage now",
 )
-async def stop(name: str, context: Context) -> object:
+async def stop(name: str, context: Context, who: Who) -> object:
     """A run on the rig is aborted; a stage at rest gets the stop command as well.
 
     200 once two consecutive reports show the stage at rest at the same angle; else 409 within ten seconds,
     within two where its port does not open.
     """
-    return await answer_of(context.service.begin_stop(name), f"the stage of rig {name!r}")
+    return await answer_of(context.service.begin_stop(name, who), f"the stage of rig {name!r}")
 
 
 @router.post(
@@ -200,23 +195,12 @@ def show_run(run: KnownRun, context: Context) -> Run:
     responses=problems(404, 409),
     summary="Stop the stage now and end the run",
 )
-async def abort_run(run_id: str, context: Context, who: Who, after: BackgroundTasks) -> Run:
+async def abort_run(run_id: str, context: Context, who: Who) -> Run:
     """The poses measured so far stay. 200 and 409 as of a stop."""
-    errand = context.service.begin_abort(run_id)
+    errand = context.service.begin_abort(run_id, who)
     if errand is None:  # nobody carries it out: nothing moves, and the store knows the rest
-        run = await asyncio.to_thread(context.service.abort, run_id)  # of no request's threads
-    else:
-        run = await answer_of(errand, f"the stage of run {run_id}")
-    after.add_task(_enter, context, "aborted", run, who)  # a stop waits for no store
-    return run
-
-
-def _enter(context: ApiContext, what: What, run: Run, who: str | None) -> None:
-    """Enter in the trail what was done to a run on its rig; a store that cannot be written undoes nothing."""
-    try:
-        context.store.trail.add(Act(what, who=who, unit=run.unit, rig=run.rig, run_id=run.id))
-    except StoreError as error:
-        log.error("run %s: that it was %s is not in the audit trail: %s", run.id, what, error)
+        return await asyncio.to_thread(context.service.abort, run_id, who)  # of no request's threads
+    return await answer_of(errand, f"the stage of run {run_id}")
 
 
 def acts_on_run(
@@ -235,9 +219,7 @@ def acts_on_run(
 @acts_on_run("pause", "operator", "Finish the pose in hand and hold", 404, 409)
 def pause_run(run: KnownRun, context: Context, who: Who) -> Run:
     """The run is `paused` once the pose is done."""
-    paused = context.service.pause(run.id)
-    _enter(context, "paused", run, who)
-    return paused
+    return context.service.pause(run.id, who)
 
 
 @acts_on_run("resume", "operator", "Go on with a paused or interrupted run", 404, 409, 422)
@@ -247,9 +229,7 @@ def resume_run(run: KnownRun, context: Context, who: Who, body: ResumeRun | None
     409 where its rig is busy or not as it was. Where other devices answer than before, the unit was
     touched, or gravity contradicts `stage_at_deg`, it becomes `interrupted` again with the reason in `error`.
     """
-    resumed = context.service.resume(run.id, None if body is None else body.stage_at_deg)
-    _enter(context, "resumed", run, who)
-    return resumed
+    return context.service.resume(run.id, None if body is None else body.stage_at_deg, who)
 
 
 PoseIndex = Annotated[int, Path(ge=0, lt=2**31)]

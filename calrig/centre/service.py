@@ -32,7 +32,7 @@ from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics
 from calrig.runs.rig import check_stage_at
 from calrig.runs.single_flight import SharedTask, SingleFlight
-from calrig.runs.stopping import BY_REQUEST
+from calrig.runs.stopping import STOPPED
 from calrig.settings import RigSettings
 from calrig.store import Run, StoredPose, StoreError
 from calrig.store.benches import Bench, Kind
@@ -40,6 +40,7 @@ from calrig.store.postgresql.listening import Listening
 from calrig.store.postgresql.set_up import ANSWERS, EVENTS, PARCELS
 from calrig.store.records import Document
 from calrig.store.store import Store
+from calrig.store.trail import Act, What
 from calrig.store.unpacking import Conclude, Conclusion, Kept
 
 ANSWER_S = 3.0
@@ -303,20 +304,31 @@ class CentreService:
         """The run, or Unknown."""
         return stored_run(self.store, run_id)
 
-    def abort(self, run_id: str) -> Run:
+    def abort(self, run_id: str, who: str | None = None) -> Run:
         """Ends a run: takes its order back, or has its bench stop the stage and end it.
 
         Raises:
             Unknown: there is no such run.
             Conflict: it has ended; or its bench cannot be told, or its stage is not known to stand.
         """
-        return self.begin_abort(run_id).result()
+        return self.begin_abort(run_id, who).result()
 
-    def begin_abort(self, run_id: str) -> SharedTask[Run]:
+    def begin_abort(self, run_id: str, who: str | None = None) -> SharedTask[Run]:
         """As `abort`, in a thread of its own, which all share who ask for it meanwhile."""
-        return self._errands.share(("abort", run_id), self._clock, partial(self._abort, run_id))
+        return self._errands.share(("abort", run_id), self._clock, partial(self._abort, run_id, who))
 
-    def _abort(self, run_id: str) -> Run:
+    def _abort(self, run_id: str, who: str | None) -> Run:
+        return self._entered("aborted", self._abort_by_bench(run_id), who)
+
+    def _entered(self, what: What, run: Run, who: str | None) -> Run:
+        """Enter in the trail what a bench was asked for and did; a store in trouble undoes nothing of it."""
+        try:
+            self.store.trail.add(Act(what, who=who, unit=run.unit, rig=run.rig, run_id=run.id))
+        except StoreError as error:
+            log.error("run %s: that it was %s is not in the audit trail: %s", run.id, what, error)
+        return run
+
+    def _abort_by_bench(self, run_id: str) -> Run:
         run = self.run(run_id)
         if run.status in TERMINAL:
             raise Conflict(f"run {run_id} is {run.status} and cannot be aborted")
@@ -343,20 +355,31 @@ class CentreService:
         """
         return self.begin_stop(rig_name).result()
 
-    def begin_stop(self, rig_name: str) -> SharedTask[RigState]:
+    def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
         """As `stop`, in a thread of its own, which all share who ask for it meanwhile."""
-        return self._errands.share(("stop", rig_name), self._clock, partial(self._stop, rig_name))
+        return self._errands.share(("stop", rig_name), self._clock, partial(self._stop, rig_name, who))
 
-    def _stop(self, rig_name: str) -> RigState:
+    def _stop(self, rig_name: str, who: str | None) -> RigState:
         rig = self._rigs.known(rig_name)
         try:
             self._asking.ask(rig.bench, "stop", rig=rig_name)
+            stopped = self._unfinished_on(rig_name)
         finally:
             try:
-                self.store.orders.settle_withdrawn(BY_REQUEST.reason)
+                self.store.orders.settle_withdrawn(STOPPED)
             except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
                 log.error("runs that waited for rig %s are not told of as aborted yet: %s", rig_name, error)
+        for run in stopped:
+            self._entered("aborted", run, who)
         return next(state for state in self.rigs() if state.name == rig_name)
+
+    def _unfinished_on(self, rig_name: str) -> list[Run]:
+        """Runs that a stop of the rig has aborted; their ends are on their way."""
+        try:
+            return [one for one in self.store.runs.unfinished() if one.rig == rig_name]
+        except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
+            log.error("rig %s: runs that its stop aborted are not in the audit trail: %s", rig_name, error)
+            return []
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:  # noqa: ARG002
         """Turns nothing: whoever does that stands at the bench, and has its page there."""
@@ -375,11 +398,11 @@ class CentreService:
         """What the last looks at boards gave, by rig, as their benches last said; of those looked at."""
         return self._rigs.looks()
 
-    def pause(self, run_id: str) -> Run:
+    def pause(self, run_id: str, who: str | None = None) -> Run:
         """Has the run hold after the pose in hand."""
-        return self._ask_of_run(run_id, "pause", "paused")
+        return self._entered("paused", self._ask_of_run(run_id, "pause", "paused"), who)
 
-    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
+    def resume(self, run_id: str, stage_at_deg: float | None = None, who: str | None = None) -> Run:
         """Has a paused run go on; orders the bench of an interrupted one to take it up again.
 
         `stage_at_deg` as of `RunService.resume`.
@@ -393,12 +416,12 @@ class CentreService:
         run = self.run(run_id)
         check_stage_at(run, stage_at_deg)
         if run.status != "interrupted":
-            return self._ask_of_run(run_id, "resume", "resumed")
+            return self._entered("resumed", self._ask_of_run(run_id, "resume", "resumed"), who)
         order = self.store.orders.of(run_id)
         if order is not None and self._rigs.known(order.rig).is_offline:
             bench = self._bench(order.bench)
             raise Conflict(f"run {run_id} cannot be resumed: bench {bench.name} {seen(bench)}")
-        return self.store.orders.resume(run_id, stage_at_deg)
+        return self._entered("resumed", self.store.orders.resume(run_id, stage_at_deg), who)
 
     def _ask_of_run(self, run_id: str, kind: Kind, wish: str) -> Run:
         run, order = self.run(run_id), self.store.orders.of(run_id)

@@ -20,6 +20,7 @@ from calrig.runs.mounting import Mounting, OwnErrors, angle_about_deg
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.store import SampleBlock
+from calrig.store.trail import Request
 
 Phase = Literal["move", "dwell"]
 
@@ -243,7 +244,7 @@ class AcquisitionLoop:
             refusal = self.why_not(mount, errors)
             if refusal is None:
                 self.control.resume()  # whoever wished for a pause meanwhile has had it
-                self.recorder.state("running")
+                self.recorder.state("running", asked=Request("resumed", go.who))
         finally:
             go.answer(refusal)
         self.forget(self.synchronise())
@@ -346,10 +347,10 @@ class AcquisitionLoop:
         """Stands by for as long as a pause is wished."""
         if not self.control.holding:
             return
-        self.recorder.state("paused")
+        self.recorder.state("paused", asked=self.control.paused)
         while self.control.holding:
             self.stand_by()
-        self.recorder.state("running")
+        self.recorder.state("running", asked=self.control.resumed)
 
     def forget(self, before_s: float) -> None:
         """Lets go of samples from before a time at which the stage stood and the next move had not begun."""

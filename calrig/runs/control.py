@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from calrig.instruments.clock import WALL, Clock, Event
 from calrig.instruments.errors import InstrumentError
 from calrig.model.run import Status
+from calrig.store.trail import Request
 
 log = logging.getLogger(__name__)
 
@@ -19,10 +20,16 @@ ENDED = "the run has ended"
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """How a run was asked to end: the status it is to have, and why."""
+    """How a run was asked to end: the status it is to have, why, and by whom where that is known."""
 
     status: Status
     reason: str | None
+    who: str | None = None
+
+    @property
+    def asked(self) -> Request | None:
+        """What is entered in the trail; None unless a person asked for it."""
+        return Request("aborted", self.who) if self.status == "aborted" else None
 
 
 class Ended(Exception):  # noqa: N818 (a request that was met, not an error)
@@ -50,8 +57,9 @@ class StopOutcome:
 class ResumeRequest:
     """A person's word that what a run waits for is done; the run looks, and answers."""
 
-    def __init__(self, answered: Event) -> None:
+    def __init__(self, answered: Event, who: str | None = None) -> None:
         self._answered = answered
+        self.who = who
         self._refusal: str | None = None
 
     def answer(self, refusal: str | None) -> None:
@@ -79,6 +87,8 @@ class Control:
         self._end: End | None = None
         self._halt: Callable[[], None] | None = None
         self._hold = threading.Event()
+        self._held_by: str | None = None
+        self._resumed_by: str | None = None
         self._left: StopOutcome | None = None
         self._clock = clock
         self._go: ResumeRequest | None = None
@@ -108,6 +118,11 @@ class Control:
         """Whether an end was asked for."""
         return self._end is not None
 
+    @property
+    def asked(self) -> End | None:
+        """The end that was asked for first."""
+        return self._end
+
     def check(self) -> None:
         """Raises Ended where an end was asked for."""
         if self._end is not None:
@@ -129,13 +144,25 @@ class Control:
         self._has_left.wait(timeout_s)
         return self._left
 
-    def pause(self) -> None:
+    def pause(self, who: str | None = None) -> None:
         """Asks the run to hold after the pose in hand."""
+        self._held_by = who
         self._hold.set()
 
-    def resume(self) -> None:
+    def resume(self, who: str | None = None) -> None:
         """Takes the wish for a pause back, or ends the pause."""
+        self._resumed_by = who
         self._hold.clear()
+
+    @property
+    def paused(self) -> Request:
+        """Who wished for the pause."""
+        return Request("paused", self._held_by)
+
+    @property
+    def resumed(self) -> Request:
+        """Who ended it."""
+        return Request("resumed", self._resumed_by)
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
@@ -154,12 +181,12 @@ class Control:
         """Whether the run stands until a person says Go."""
         return self._waits
 
-    def say_go(self) -> ResumeRequest | None:
+    def say_go(self, who: str | None = None) -> ResumeRequest | None:
         """Says so, and gives what will be answered; who asks meanwhile shares it. None where none waits."""
         with self._lock:
             if not self._waits:
                 return None
-            self._go = self._go or ResumeRequest(self._clock.event())
+            self._go = self._go or ResumeRequest(self._clock.event(), who)
             return self._go
 
     def take_go(self) -> ResumeRequest | None:

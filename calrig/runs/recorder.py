@@ -19,6 +19,7 @@ from calrig.instruments.clock import Clock
 from calrig.model.run import AT_REST, TERMINAL, Mount, Progress, Status
 from calrig.store import Announced, RunChanges, SampleBlock, Store
 from calrig.store.issued import Draft
+from calrig.store.trail import Request
 
 
 class Bus:
@@ -197,8 +198,17 @@ class Recorder:
         """The run's status as last written."""
         return self._status
 
-    def state(self, status: Status, changes: RunChanges | None = None, draft: Draft | None = None) -> None:
-        """Changes the run's status and says so; `changes` and `draft` are stored in the same transaction."""
+    def state(
+        self,
+        status: Status,
+        changes: RunChanges | None = None,
+        draft: Draft | None = None,
+        asked: Request | None = None,
+    ) -> None:
+        """Changes the run's status and says so; all that is given is stored in the same transaction.
+
+        `asked` is what somebody asked for, by which the status changes.
+        """
         check_transition(self.run_id, self._status, status)
         self.flush()
         told: RunChanges = {**(changes or {}), "status": status}
@@ -207,7 +217,7 @@ class Recorder:
             self._waiting_for = None
             told["progress"] = self._progress()
             events = [("progress", told["progress"].model_dump())]
-        self._store.runs.update(self.run_id, events=events, draft=draft, **told)
+        self._store.runs.update(self.run_id, events=events, draft=draft, asked=asked, **told)
         self._became(status, told)
 
     def waits_for(self, asked: Mount, clamped_at: Callable[[float, float], float]) -> None:

@@ -17,9 +17,10 @@ from calrig.instruments.errors import InstrumentError
 from calrig.instruments.standstill import CUT
 from calrig.runs.recorder import Bus, ServiceMetrics
 from calrig.runs.rig import is_lost_since, resumed_by, stop_stage
-from calrig.runs.stopping import BY_REQUEST
+from calrig.runs.stopping import STOPPED
 from calrig.settings import RigSettings
 from calrig.store import Run, RunChanges, Store, StoreError
+from calrig.store.trail import Request
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +71,7 @@ class RunQueue:
                 f'rig {rig_name!r} is busy: run {waiting[0]} is next; ask with "queue": true to wait'
             )
 
-    def go(self, run_id: str) -> bool:
+    def go(self, run_id: str, who: str | None = None) -> bool:
         """Has a run that is held wait its turn again; returns whether it was."""
         with self._lock:
             rig_name = self._held.pop(run_id, None)
@@ -78,11 +79,11 @@ class RunQueue:
                 self._waiting.setdefault(rig_name, []).append(run_id)
         if rig_name is None:
             return False
-        self._store.runs.update(run_id, error=None)
+        self._store.runs.update(run_id, error=None, asked=Request("resumed", who))
         self.next(rig_name)
         return True
 
-    def take_out(self, run_id: str) -> bool:
+    def take_out(self, run_id: str, who: str | None = None) -> bool:
         """Aborts a run that waits or is held; returns whether it did either. Called under `beginning`."""
         with self._lock:
             found = self._held.pop(run_id, None) is not None
@@ -91,10 +92,10 @@ class RunQueue:
                     waiting.remove(run_id)
                     found = True
         if found:
-            self._end(run_id, {"status": "aborted", "error": None})
+            self._end(run_id, {"status": "aborted", "error": None}, Request("aborted", who))
         return found
 
-    def call_off(self, rig_name: str) -> Callable[[], None]:
+    def call_off(self, rig_name: str, who: str | None = None) -> Callable[[], None]:
         """Nothing that waits for a rig is to move it any more; gives what tells the store so."""
         with self._lock:
             off = [
@@ -107,7 +108,8 @@ class RunQueue:
         def tell() -> None:
             for run_id in off:
                 try:
-                    self._end(run_id, {"status": "aborted", "error": BY_REQUEST.reason})
+                    asked = Request("aborted", who)
+                    self._end(run_id, {"status": "aborted", "error": STOPPED}, asked)
                 except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
                     log.error("run %s is not told of as aborted; it does not begin: %s", run_id, error)
 
@@ -146,8 +148,8 @@ class RunQueue:
             log.error("run %s cannot begin (%s) and the store cannot be told: %s", run_id, why, error)
             self._hold(rig_name, run_id)
 
-    def _end(self, run_id: str, changes: RunChanges) -> None:
-        run = self._store.runs.update(run_id, **changes)
+    def _end(self, run_id: str, changes: RunChanges, asked: Request | None = None) -> None:
+        run = self._store.runs.update(run_id, asked=asked, **changes)
         self._meter.of_run(run.rig or "").ended(run.status)
         self._bus.wake(run_id)
 

@@ -26,11 +26,12 @@ from calrig.runs.rig import check_stage_at, require_in_date
 from calrig.runs.rig_status import state_of
 from calrig.runs.run_queue import RunQueue
 from calrig.runs.single_flight import SharedTask
-from calrig.runs.stopping import BY_REQUEST, StopService
+from calrig.runs.stopping import STOPPED, StopService
 from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
 from calrig.store.records import Document
+from calrig.store.trail import Request
 
 log = logging.getLogger(__name__)
 
@@ -165,7 +166,7 @@ class RunService:
         left = self.crew.left_rig
         worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, self._ended, self._record)
         if self.crew.take(worker):
-            worker.control.end(BY_REQUEST)
+            worker.control.end(End("aborted", STOPPED))
         worker.start(self._presence.let_go(worker.rig.name))
 
     def _wait_in_turn(self, rig_name: str, wanted: NewRun, n_poses: int) -> Run:
@@ -200,34 +201,36 @@ class RunService:
         run = stored_run(self.store, run_id)
         return run if untold is None else run.model_copy(update=untold)
 
-    def abort(self, run_id: str) -> Run:
+    def abort(self, run_id: str, who: str | None = None) -> Run:
         """Stops the stage now and ends the run; returns once it has ended, or two seconds after the stage.
 
-        A run that waits its turn will not begin, an interrupted one not be resumed.
+        A run that waits its turn will not begin, an interrupted one not be resumed. `who` asks for it is
+        entered in the trail with the run's end.
 
         Raises:
             Unknown: there is no such run.
             Conflict: it has ended, or its stage is not known to stand; says why and what to do.
         """
-        if errand := self.begin_abort(run_id):
+        if errand := self.begin_abort(run_id, who):
             return errand.result()
         with self._lock:
-            if self._queue.take_out(run_id):
+            if self._queue.take_out(run_id, who):
                 return self.run(run_id)
             run = self.run(run_id)
             if run.status == "interrupted" and self.crew.of_run(run_id) is None:
-                aborted = self.store.runs.update(run_id, status="aborted")
+                asked = Request("aborted", who)
+                aborted = self.store.runs.update(run_id, status="aborted", asked=asked)
                 self.bus.wake(run_id)
                 return aborted
-        return self._aborted(self._worker(run_id, "aborted"))
+        return self._aborted(self._worker(run_id, "aborted"), who)
 
-    def begin_abort(self, run_id: str) -> SharedTask[Run] | None:
+    def begin_abort(self, run_id: str, who: str | None = None) -> SharedTask[Run] | None:
         """As `abort`, in a thread of its own; None where nobody carries the run out. Asks no store before."""
         worker = self.crew.of_run(run_id)
-        return None if worker is None else self._stops.abort(worker, lambda: self._aborted(worker))
+        return None if worker is None else self._stops.abort(worker, lambda: self._aborted(worker, who))
 
-    def _aborted(self, worker: Worker) -> Run:
-        self._stops.stop_run(worker, End("aborted", None))
+    def _aborted(self, worker: Worker, who: str | None) -> Run:
+        self._stops.stop_run(worker, End("aborted", None, who))
         worker.join(ANSWER_S)
         try:
             return self.run(worker.run_id)
@@ -248,12 +251,15 @@ class RunService:
         """
         return self.begin_stop(rig_name).result()
 
-    def begin_stop(self, rig_name: str) -> SharedTask[RigState]:
-        """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that."""
+    def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
+        """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that.
+
+        `who` is entered in the trail with the end of each run that this aborts.
+        """
         rig = self._rig(rig_name)
         self.crew.call_off(rig_name)
         # Beside the stop, which waits for no store; a daemon, for a store that hangs is to keep no process.
-        tell = self._queue.call_off(rig_name)
+        tell = self._queue.call_off(rig_name, who)
         telling = threading.Thread(target=tell, name=f"call-off at {rig_name}", daemon=True)
         telling.start()
 
@@ -261,7 +267,7 @@ class RunService:
             telling.join(ANSWER_S)
             return self._state_of(rig)
 
-        return self._stops.stop(rig, stopped)
+        return self._stops.stop(rig, stopped, who)
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own; errors as of `Clamps.turn`, or Unknown."""
@@ -280,16 +286,17 @@ class RunService:
     def _state_of(self, rig: RigSettings) -> RigState:
         return next(state for state in self.rigs() if state.name == rig.name)
 
-    def pause(self, run_id: str) -> Run:
-        """Has the run hold after the pose in hand."""
-        self._worker(run_id, "paused").control.pause()
+    def pause(self, run_id: str, who: str | None = None) -> Run:
+        """Has the run hold after the pose in hand; then `who` is entered in the trail."""
+        self._worker(run_id, "paused").control.pause(who)
         return self.run(run_id)
 
-    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
+    def resume(self, run_id: str, stage_at_deg: float | None = None, who: str | None = None) -> Run:
         """Has a paused run go on, or takes the wish for a pause back; resumes an interrupted run.
 
         A run that waited while the service was started anew waits its turn again. `stage_at_deg` is a
         person's word for the elevation at which the stage of an interrupted run stands, if it has no homing.
+        `who` is entered in the trail as the run goes on.
 
         Raises:
             Unknown: there is no such run.
@@ -300,13 +307,13 @@ class RunService:
         run = self.run(run_id)
         check_stage_at(run, stage_at_deg)
         if run.status == "interrupted":
-            return self._resume_interrupted(run, stage_at_deg)
-        if self._queue.go(run_id):
+            return self._resume_interrupted(run, stage_at_deg, who)
+        if self._queue.go(run_id, who):
             return self.run(run_id)
-        self._worker(run_id, "resumed").go_on()
+        self._worker(run_id, "resumed").go_on(who)
         return self.run(run_id)
 
-    def _resume_interrupted(self, run: Run, stage_at_deg: float | None) -> Run:
+    def _resume_interrupted(self, run: Run, stage_at_deg: float | None, who: str | None) -> Run:
         settings = self._rigs.get(run.rig or "")
         if settings is None:
             raise Conflict(
@@ -318,7 +325,8 @@ class RunService:
         with self._lock:
             self.crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
-            self.store.runs.update(run.id, status="queued", error=None)
+            asked = Request("resumed", who)
+            self.store.runs.update(run.id, status="queued", error=None, asked=asked)
             self._start_worker(task)
         return self.run(run.id)
 

@@ -57,13 +57,13 @@ class Service(Protocol):
     def run(self, run_id: str) -> Run:
         """The run, or Unknown."""
 
-    def abort(self, run_id: str) -> Run:
+    def abort(self, run_id: str, who: str | None = None) -> Run:
         """Stops the stage and ends the run."""
 
-    def begin_abort(self, run_id: str) -> SharedTask[Run] | None:
+    def begin_abort(self, run_id: str, who: str | None = None) -> SharedTask[Run] | None:
         """As `abort`, in a thread of its own; None where there is nobody to ask."""
 
-    def begin_stop(self, rig_name: str) -> SharedTask[RigState]:
+    def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
         """Stops a rig's stage, in a thread of its own."""
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:
@@ -75,10 +75,10 @@ class Service(Protocol):
     def looks(self) -> dict[str, BoardCheck]:
         """What the last looks at boards gave, by rig; of those that are looked at."""
 
-    def pause(self, run_id: str) -> Run:
+    def pause(self, run_id: str, who: str | None = None) -> Run:
         """Has a run hold."""
 
-    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
+    def resume(self, run_id: str, stage_at_deg: float | None = None, who: str | None = None) -> Run:
         """Has a run go on."""
 
     def close(self) -> None:

@@ -24,7 +24,7 @@ SEEN_S = 9.0
 """How long a run that was told to end may take to see its stage stand, s of the rig's clock."""
 OPENS_S = 2.0
 """How long a port may take to open until who asked hears that the stage could not be told, likewise."""
-BY_REQUEST = End("aborted", "the stage was stopped by request")
+STOPPED = "the stage was stopped by request"
 T = TypeVar("T")
 
 
@@ -45,17 +45,19 @@ class StopService:
         self._lock = threading.Lock()
         self._telling: dict[str, StopRequest] = {}  # by rig: a port that does not open is waited for once
 
-    def stop(self, rig: RigSettings, answer: Callable[[], T]) -> SharedTask[T]:
+    def stop(self, rig: RigSettings, answer: Callable[[], T], who: str | None = None) -> SharedTask[T]:
         """Stops a rig's stage, whatever runs; who asks while it is being told shares that telling.
 
         Args:
             rig: the rig.
             answer: what came of it, once the stage was seen to stand.
+            who: asks; entered in the trail with the end of the run that this aborts, if any.
         """
+        end = End("aborted", STOPPED, who)
 
         def stopped() -> T:
-            if not self._stop_run_on(rig):
-                self._stop_idle(rig)
+            if not self._stop_run_on(rig, end):
+                self._stop_idle(rig, end)
             return answer()
 
         worker = self._crew.on(rig.name)  # a run that began since has to be told anew
@@ -73,13 +75,13 @@ class StopService:
             Conflict: it is not known to; says why and what to do.
         """
         if not _told(worker, end) and self._crew.on(worker.rig.name) is None:
-            self._stop_idle(worker.rig)
+            self._stop_idle(worker.rig, end)
 
-    def _stop_run_on(self, rig: RigSettings) -> bool:
+    def _stop_run_on(self, rig: RigSettings, end: End) -> bool:
         worker = self._crew.on(rig.name)
-        return worker is not None and _told(worker, BY_REQUEST)
+        return worker is not None and _told(worker, end)
 
-    def _stop_idle(self, rig: RigSettings) -> None:
+    def _stop_idle(self, rig: RigSettings, end: End) -> None:
         telling = self._tell(rig)
         telling.opened.wait(OPENS_S)
         if not telling.opened.is_set():
@@ -87,7 +89,7 @@ class StopService:
         try:
             telling.errand.result()
         except InstrumentError as error:
-            if self._stop_run_on(rig):  # a run may just have taken the port
+            if self._stop_run_on(rig, End("aborted", STOPPED, end.who)):  # a run may just have taken the port
                 return
             advice = "" if CUT in str(error) else f": {CUT}"
             raise Conflict(f"rig {rig.name!r}: stop not confirmed ({error}){advice}") from error

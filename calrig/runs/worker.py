@@ -32,6 +32,7 @@ from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, StagePosition, open_rig, require_suited
 from calrig.store import Run, RunChanges, Store, StoreError, StoreUnavailableError
 from calrig.store.issued import Draft
+from calrig.store.trail import Request
 
 
 class RunExecution:
@@ -250,17 +251,17 @@ class Worker:
         """Waits until it has ended, or for so many seconds of its rig's time."""
         self._thread.join(timeout_s)
 
-    def go_on(self) -> None:
+    def go_on(self, who: str | None = None) -> None:
         """Ends a pause, or what the run waits for a person to do, or takes a wish for a pause back.
 
         Raises:
             Conflict: it is not paused; or the unit is not clamped as the run asks, by gravity.
         """
-        if (go := self.control.say_go()) is not None:
+        if (go := self.control.say_go(who)) is not None:
             if (refusal := go.refusal(LOOKS_S)) is not None:
                 raise Conflict(refusal)
         elif self.control.holding:
-            self.control.resume()
+            self.control.resume(who)
         else:
             raise Conflict(f"run {self.run_id} is not paused")
 
@@ -312,10 +313,16 @@ class Worker:
         fields["status"] = status
         if status != "completed":
             done.draft = None
-        while not self._once(fields, lambda: self._recorder.state(status, fields, done.draft)):
+        asked = self._asked(status)
+        while not self._once(fields, lambda: self._recorder.state(status, fields, done.draft, asked)):
             if self._given_up.wait(TRY_AGAIN_S):
                 break
         self._ended(self)
+
+    def _asked(self, status: Status) -> Request | None:
+        """What somebody asked for, where that is how the run ended."""
+        end = self.control.asked
+        return None if end is None or end.status != status else end.asked
 
     @property
     def as_known(self) -> Run:
@@ -328,7 +335,8 @@ class Worker:
         self._given_up.set()
         fields: RunChanges = {"status": end.status, "error": end.reason}
         told = self.untold or fields
-        self._once(told, lambda: store.runs.update(self.run_id, draft=self._measuring.draft, **told))
+        draft, asked = self._measuring.draft, self._asked(told["status"])
+        self._once(told, lambda: store.runs.update(self.run_id, draft=draft, asked=asked, **told))
 
     def _once(self, fields: RunChanges, write: Callable[[], object]) -> bool:
         """Writes the run's end unless that has been done; returns False where the store cannot be told."""

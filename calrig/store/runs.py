@@ -274,9 +274,12 @@ class Runs(Repository):
         *,
         events: Sequence[Announced] = (),
         draft: issued.Draft | None = None,
+        asked: trail.Request | None = None,
         **changes: Unpack[RunChanges],
     ) -> Run:
         """Changes a run and announces `events`, then, where a status was given, the new state.
+
+        `asked` is what somebody asked for that this does; it is entered in the trail.
 
         `started_at` is set by the first `running`, `finished_at` by a terminal status; a run that is resumed
         after an interruption loses `finished_at`. `error` stays unless given: clear it when a run is resumed.
@@ -287,6 +290,8 @@ class Runs(Repository):
             change(session, row, events, changes)
             if draft is not None:
                 issued.issue(session, row, draft)
+            if asked is not None:
+                trail.append(session, trail.act_on(asked.what, row, asked.who))
             return run_of(row)
 
     def set_result(self, run_id: str, result: Result | None) -> Run:

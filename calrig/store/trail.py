@@ -45,6 +45,14 @@ class Act:
 
 
 @dataclass(frozen=True, slots=True)
+class Request:
+    """What somebody asked of a run, which is entered together with the change of the run that it makes."""
+
+    what: What
+    who: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class Entry:
     """An act in the trail: its number, when it was done, and the hash that chains it to the one before."""
 

@@ -11,9 +11,10 @@ from typing import Any
 import httpx
 import pytest
 from postgresql_server import ENGINE
-from support import QUICK, ended, imported, serving, wait_for
+from support import QUICK, imported, serving, wait_for
 
 from calrig.api.access import Access
+from calrig.store import trail
 
 
 @pytest.fixture
@@ -43,18 +44,48 @@ def test_who_is_known_by_name_did_it_whatever_the_request_says(ada: httpx.Client
     assert (started["operator"], taken["operator"]) == ("ada", "ada")
     assert taken["provenance"]["operator"] == "ada"
     of_first, of_second = ("ada", "A", started["id"]), ("ada", "B", taken["id"])
-    assert wait_for(lambda: ("aborted", *of_first) in told(ada), "the abort, entered after its answer")
     entries = {entry for entry in told(ada) if entry[0] != "user_added"}
     assert entries == {("started", *of_first), ("aborted", *of_first), ("imported", *of_second)}
 
 
 def test_a_pause_and_its_end_are_told(ada: httpx.Client) -> None:
     run = ada.post("/api/runs", json={"unit": "A", "plan": QUICK}).raise_for_status().json()
-    for act in ("pause", "resume"):
+    for act, status in (("pause", "paused"), ("resume", "running")):
         ada.post(f"/api/runs/{run['id']}/{act}").raise_for_status()
+        wait_for(lambda status=status: ada.get(f"/api/runs/{run['id']}").json()["status"] == status, status)
     told_of_it = [what for what, who, _, of in told(ada) if (who, of) == ("ada", run["id"])]
     assert told_of_it == ["started", "paused", "resumed"]
-    ended(ada, run["id"])
+    ada.post(f"/api/runs/{run['id']}/abort").raise_for_status()
+
+
+def test_a_stop_that_aborts_runs_is_told_with_who_pressed_it(ada: httpx.Client) -> None:
+    running, waiting = (
+        ada.post("/api/runs", json={"unit": "A", "plan": QUICK, "queue": True})
+        .raise_for_status()
+        .json()["id"]
+        for _ in range(2)
+    )
+    ada.post("/api/rigs/bench-1/stop").raise_for_status()
+    aborted = [(who, of) for what, who, _, of in told(ada) if what == "aborted"]
+    assert sorted(aborted) == sorted([("ada", running), ("ada", waiting)])
+    ada.post("/api/rigs/bench-1/stop").raise_for_status()
+    assert len([what for what, *_ in told(ada) if what == "aborted"]) == 2, "an idle stage aborts nothing"
+
+
+def test_an_abort_is_stored_with_its_entry_or_not_at_all(service: Any, monkeypatch: Any) -> None:
+    run = service.store.runs.create(unit="A", rig="bench-1", plan=QUICK, status="interrupted", provenance={})
+
+    def killed(*_: Any) -> None:
+        raise RuntimeError("killed")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(trail, "append", killed)
+        with pytest.raises(RuntimeError, match="killed"):
+            service.abort(run.id, "ada")
+    assert service.run(run.id).status == "interrupted"
+    assert service.abort(run.id, "ada").status == "aborted"
+    (entry,) = service.store.trail.entries(what=["aborted"])
+    assert (entry.act.who, entry.act.run_id) == ("ada", run.id)
 
 
 def test_the_log_names_them_too(ada: httpx.Client, caplog: pytest.LogCaptureFixture) -> None:

@@ -24,8 +24,8 @@ import httpx
 import numpy as np
 
 from calrig.analysis.amendments import Records
-from calrig.analysis.diagnoses import Acceptance
 from calrig.analysis.certificates import issue_certificate
+from calrig.analysis.diagnoses import Acceptance
 from calrig.analysis.errors import RunsError
 from calrig.analysis.revisions import Issuer
 from calrig.laboratory import LaboratorySettings
@@ -153,9 +153,7 @@ def _without_times(value: Any) -> Any:
     if isinstance(value, dict):  # whether a time is known has a meaning
         left = {k: one for k, one in value.items() if k.strip() not in HASHES}
         return {
-            k: one is None
-            if k == "at" or k.endswith("_at") or k in OF_CERTIFICATES
-            else _without_times(one)
+            k: one is None if k == "at" or k.endswith("_at") or k in OF_CERTIFICATES else _without_times(one)
             for k, one in left.items()
         }
     return [_without_times(one) for one in value] if isinstance(value, list) else value
