@@ -58,9 +58,7 @@ def _too_large(growth: Growth, others: Sequence[str]) -> str:
         f"{growth.before_deg:.3g}° to {growth.after_deg:.3g}°"
     )
     if not others:
-        return (
-            f"{said}. Its poses do not determine the effects well enough: measure more poses, and diagnose again"
-        )
+        return f"{said}. Its poses do not determine the effects: measure more poses, and diagnose again"
     return (
         f"{said} with one model of it and run {', '.join(others)}. The unit has changed between the runs, or "
         "an effect is not what it seems: revoke what was accepted from the earlier run, or void the run that "
@@ -96,8 +94,8 @@ def joint_of_rest(store: Store, acceptances: Sequence[AcceptedEffect], fits: Fit
     except DiagnosisError as error:
         listed = ", ".join(f"{one.name} of run {one.run_id}" for one in acceptances)
         raise Conflict(
-            f"the effects that would stay accepted cannot be fitted together ({listed}): {error}. Nothing was "
-            f"changed: revoke first what was accepted from run {acceptances[-1].run_id}"
+            f"the effects that would stay accepted cannot be fitted together ({listed}): {error}. Nothing "
+            f"was changed: revoke first what was accepted from run {acceptances[-1].run_id}"
         ) from error
     return _accepted(acceptances, runs, found)
 
@@ -113,9 +111,7 @@ def _is_needed(store: Store, acceptances: Sequence[AcceptedEffect]) -> bool:
     return any(run.voided is not None for run_id in ids if (run := store.runs.get(run_id)) is not None)
 
 
-def is_model_of(
-    store: Store, joint: Sequence[AcceptedEffect], acceptances: Sequence[AcceptedEffect]
-) -> bool:
+def is_model_of(store: Store, joint: Sequence[AcceptedEffect], acceptances: Sequence[AcceptedEffect]) -> bool:
     """Whether a joint model has the effects of these acceptances, over all of their runs that are valid."""
     ids = {run.id for run in _valid_runs(store, acceptances)}
     return {one.name for one in joint} == {one.name for one in acceptances} and all(

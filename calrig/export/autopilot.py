@@ -135,7 +135,7 @@ def _notes(accelerometer: Accelerometer) -> list[str]:
         notes.append(
             f"misalignment of axes is not held by these parameters, up to {turned_deg:.2g} degrees of it"
         )
-    notes += accelerometer.curve_says
+    notes += accelerometer.uncertainty_says
     if accelerometer.left_out:
         notes.append(
             f"of the document, but not held by these parameters: {', '.join(accelerometer.left_out)}"

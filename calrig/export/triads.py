@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.regression import MG
-from calrig.calibration.results import effects_at_rest, effects_on_reading_deg
+from calrig.calibration.results import effects_at_rest, effects_on_reading_deg, felt_elevation_deg
 from calrig.estimation.angles import FloatArray
 
 LONGEST_LINE = 160
@@ -39,6 +39,8 @@ class Accelerometer:
         is_whole: all nine numbers of the matrix are measured.
         left_out: effects of the document that are not in these, and bias and scale where there are any.
         curve_left_mg: (3,) RMS of what the best straight line leaves of the axes' curves; 0 without any.
+        curve_left_deg: RMS error of an elevation about x from that, over the calibrated range.
+        expanded_deg, coverage_factor: the document's uncertainty of an elevation; None where it is unknown.
     """
 
     bias_g: FloatArray
@@ -48,10 +50,27 @@ class Accelerometer:
     is_whole: bool
     left_out: tuple[str, ...]
     curve_left_mg: FloatArray = field(default_factory=lambda: np.zeros(3))
+    curve_left_deg: float = 0.0
+    expanded_deg: float | None = None
+    coverage_factor: float | None = None
 
     @property
-    def curve_says(self) -> list[str]:
-        """What the straight line leaves of curves, for a comment; nothing where there are none."""
+    def uncertainty_says(self) -> list[str]:
+        """How uncertain an elevation from these numbers is, what the straight lines leave included."""
+        left = ""
+        if self.curve_left_mg.any():
+            left = f"; what straight lines leave of curves is {self.curve_left_deg:.2g} degrees RMS of it"
+        if self.expanded_deg is None or self.coverage_factor is None:
+            return [*self._curve_says, f"uncertainty of an elevation: not known{left}"]
+        u_deg = math.hypot(self.expanded_deg / self.coverage_factor, self.curve_left_deg)
+        return [
+            *self._curve_says,
+            f"elevation about x, without what is left out: U = {self.coverage_factor * u_deg:.2g} degrees "
+            f"(k = {self.coverage_factor:.3g}){left}",
+        ]
+
+    @property
+    def _curve_says(self) -> list[str]:
         if not self.curve_left_mg.any():
             return []
         left = ", ".join(
@@ -117,55 +136,74 @@ def accelerometer_of(document: Mapping[str, Any]) -> Accelerometer | None:
         left_out += [name for name, value in line.items() if value]
     else:
         return None
-    along_g, curve_g = _curves(document, values)
-    offset_g, slope, left_mg = _straightened(along_g, curve_g)
+    over_range = _over_range(document, values)
+    along_g, curve_g = _all_directions(document, values) if found else over_range
+    offset_g, slope = _best_line(along_g, curve_g)
     gains = np.diag(np.linalg.inv(matrix))
+    left_g = curve_g - offset_g - slope * along_g
+    along_g, curve_g = over_range
+    turned = (curve_g - offset_g - slope * along_g)[:, 1:] * along_g[:, :0:-1] @ (1.0, -1.0)
     # raw = bias + gain·u + curve(u) with true = S⁻¹·u: the line adds to bias and gain of each axis
     matrix = matrix @ np.diag(gains / (gains + slope))
     return Accelerometer(
-        bias + offset_g, matrix, per_c, warm.get("reference_c"), bool(found), tuple(left_out), left_mg
+        bias + offset_g,
+        matrix,
+        per_c,
+        warm.get("reference_c"),
+        bool(found),
+        tuple(left_out),
+        np.sqrt((left_g**2).mean(axis=0)) / MG,
+        math.degrees(math.sqrt(float(np.mean(turned**2)))),
+        document.get("expanded_uncertainty_deg"),
+        document.get("coverage_factor"),
     )
 
 
-def _curves(
-    document: Mapping[str, Any], values: Mapping[str, Mapping[str, float]]
-) -> tuple[FloatArray, FloatArray]:
-    """Return (n, 3) accelerations u along the axes, and what the axes' curves add there, both in g.
+Curves = tuple[FloatArray, FloatArray]
+"""(n, 3) accelerations u along the axes, and what the axes' curves add there, both in g."""
 
-    The whole accelerometer is calibrated in all directions, uniform over the sphere: each u is then uniform
-    between −1 g and 1 g (Archimedes). Of a calibration about x, elevations are uniform over its range.
+
+def _all_directions(document: Mapping[str, Any], values: Mapping[str, Mapping[str, float]]) -> Curves:
+    """Return the curves of a whole accelerometer, which is calibrated uniformly over the sphere.
+
+    Each u is then uniform between −1 g and 1 g (Archimedes).
     """
-    found = document.get("accelerometer")
-    bent = values.get("axis_nonlinearity", {})
-    axes = MG * np.array(
-        [[0.0, bent.get(f"y_mg_per_{k}", 0.0), bent.get(f"z_mg_per_{k}", 0.0)] for k in ORDERS]
-    )
-    if found:
-        along_g = np.linspace(-1.0, 1.0, GRID)[:, None] * np.ones(3)
-        terms = np.vstack([curvature_of(found), axes[2:]]) if is_curved(found) else axes
-        return along_g, _polynomial_g(terms, along_g)
-    low_deg, high_deg = document["range_deg"]
-    theta_deg = np.linspace(low_deg, high_deg, GRID)
-    s, c = np.sin(np.radians(theta_deg)), np.cos(np.radians(theta_deg))
-    skew = math.sin(math.radians(bent.get("skew_deg", 0.0)))
+    along_g = np.linspace(-1.0, 1.0, GRID)[:, None] * np.ones(3)
+    return along_g, _polynomial_g(_terms(document, values), along_g)
+
+
+def _over_range(document: Mapping[str, Any], values: Mapping[str, Mapping[str, float]]) -> Curves:
+    """Return the curves over the calibrated elevations about x, at which the sensor is at bias + scale·θ."""
+    theta_deg = np.linspace(*(document.get("range_deg") or (-180.0, 180.0)), GRID)
+    felt_deg = felt_elevation_deg(theta_deg, document.get("bias_deg") or 0.0, document.get("scale"))
+    s, c = np.sin(np.radians(felt_deg)), np.cos(np.radians(felt_deg))
+    skew = math.sin(math.radians(values.get("axis_nonlinearity", {}).get("skew_deg", 0.0)))
     along_g = np.column_stack([np.zeros(GRID), s + skew * c, c])
-    curve_g = _polynomial_g(axes, along_g)
-    if (by_angle := values.get("nonlinearity")) is not None:
-        turned_deg = effects_on_reading_deg([("nonlinearity", by_angle)], theta_deg)
-        steep = np.cos(np.radians(np.clip(theta_deg, -STEEPEST_DEG, STEEPEST_DEG)))
+    curve_g = _polynomial_g(_terms(document, values), along_g)
+    if "nonlinearity" in values and not document.get("accelerometer"):
+        turned_deg = effects_on_reading_deg(
+            [("nonlinearity", values["nonlinearity"])], theta_deg, felt_deg=felt_deg
+        )
+        steep = np.cos(np.radians(np.clip(felt_deg, -STEEPEST_DEG, STEEPEST_DEG)))
         curve_g[:, 1] += np.radians(turned_deg) / steep
     return along_g, curve_g
 
 
-def _straightened(along_g: FloatArray, curve_g: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the least-squares line of each axis' curve: (3,) offset in g, slope, RMS left in mg."""
+def _terms(document: Mapping[str, Any], values: Mapping[str, Mapping[str, float]]) -> FloatArray:
+    """Return (3, 3) terms of second, third and fourth order of the axes, g."""
+    bent, found = values.get("axis_nonlinearity", {}), document.get("accelerometer")
+    axes = MG * np.array(
+        [[0.0, bent.get(f"y_mg_per_{k}", 0.0), bent.get(f"z_mg_per_{k}", 0.0)] for k in ORDERS]
+    )
+    return np.vstack([curvature_of(found), axes[2:]]) if found and is_curved(found) else axes
+
+
+def _best_line(along_g: FloatArray, curve_g: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the least-squares line of each axis' curve: (3,) offset in g, and slope."""
     about = along_g - along_g.mean(axis=0)
     power = (about**2).sum(axis=0)
     slope = np.divide((about * curve_g).sum(axis=0), power, out=np.zeros(3), where=power > 0.0)
-    offset_g = curve_g.mean(axis=0) - slope * along_g.mean(axis=0)
-    left_g = curve_g - offset_g - slope * along_g
-    left_mg = np.sqrt((left_g**2).mean(axis=0)) / MG
-    return offset_g, slope, np.where(curve_g.any(axis=0), left_mg, 0.0)
+    return curve_g.mean(axis=0) - slope * along_g.mean(axis=0), slope
 
 
 ORDERS = ("g2", "g3", "g4")

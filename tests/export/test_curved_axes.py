@@ -98,7 +98,7 @@ def text_of(written):
 def test_a_curve_of_the_angle_is_the_best_offset_and_gain_of_y_over_the_calibrated_elevations(range_deg):
     square, cube = 4e-5, -6e-7
     bent = ("nonlinearity", {"deg_per_deg2": square, "deg_per_deg3": cube})
-    text = px4(issued([bent], range_deg=range_deg))
+    text = px4(issued([bent], range_deg=range_deg, bias_deg=0.0, scale=1.0))
     autopilot = Px4(text)
     theta_deg = np.linspace(*range_deg, 501)
     s, c = np.sin(np.radians(theta_deg)), np.cos(np.radians(theta_deg))
@@ -112,6 +112,37 @@ def test_a_curve_of_the_angle_is_the_best_offset_and_gain_of_y_over_the_calibrat
     assert left_mg < 0.9 * tangent_mg
     np.testing.assert_allclose(found[:, 2], c, atol=1e-9)
     assert f"over the calibrated elevations; RMS of what it leaves: y {best_mg:.2g} mg" in text
+
+
+def test_a_line_is_the_best_where_the_sensor_is_and_not_where_the_reference_is():
+    """Bias and scale are left out of the file: at ±60° this sensor feels −53° to 73°."""
+    bent = ("axis_nonlinearity", {"y_mg_per_g2": 5.0, "y_mg_per_g3": 5.0})
+    autopilot = Px4(px4(issued([bent], bias_deg=10.0, scale=1.05)))
+    felt_deg = 10.0 + 1.05 * np.linspace(-60.0, 60.0, 501)
+    s, c = np.sin(np.radians(felt_deg)), np.cos(np.radians(felt_deg))
+    raw_g = np.column_stack([np.zeros(501), s + CURVE_G * (s**2 + s**3), c])
+    found = np.array([Px4.chip(autopilot.accel(Px4.chip(raw) * G_MPS2, 25.0)) for raw in raw_g]) / G_MPS2
+    design = np.column_stack([np.ones(501), s])
+    left = CURVE_G * (s**2 + s**3)
+    best_g = left - design @ np.linalg.lstsq(design, left, rcond=None)[0]
+    assert rms_mg(found[:, 1] - s) == pytest.approx(rms_mg(best_g), rel=0.02)
+
+
+@pytest.mark.parametrize("written", [px4, ardupilot, imu_tk, imucal])
+def test_every_file_says_one_uncertainty_with_what_the_straight_line_leaves_in_it(written):
+    known = {"expanded_uncertainty_deg": 0.02, "coverage_factor": 2.0}
+    theta = np.radians(np.linspace(-60.0, 60.0, 721))
+    u = np.linspace(-1.0, 1.0, 721)
+    line = np.polyfit(u, CURVE_G * (u**2 + u**3), 1)
+    left_y, left_z = (CURVE_G * (a**2 + a**3) - np.polyval(line, a) for a in (np.sin(theta), np.cos(theta)))
+    left_deg = np.degrees(np.sqrt(np.mean((left_y * np.cos(theta) - left_z * np.sin(theta)) ** 2)))
+    curved, straight, unknown = (
+        re.search(r"elevation.*(?:U = (\S+) degrees \(k = 2\)|not known)", written(whole(**how))).group(1)
+        for how in ({"accelerometer": CURVED, **known}, known, {})
+    )
+    assert float(curved) == pytest.approx(2.0 * np.hypot(0.01, left_deg), rel=0.03)
+    assert float(straight) == 0.02
+    assert unknown is None
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")

@@ -132,7 +132,9 @@ def ended(task: DesignProblem, goals: Goals, design: Design) -> Design:
         design,
         elevations_deg=design.elevations_deg[: round(float(n_poses[end].mean()))],
         duration_s=float(sum(share * part.duration_s for part, share in stated)),
-        expanded_deg=None if task.type_b is None else float(sum(share * (of or 0.0) for of, share in expanded)),
+        expanded_deg=None
+        if task.type_b is None
+        else float(sum(share * (of or 0.0) for of, share in expanded)),
         bias_std_deg=float(sum(share * part.bias_std_deg for part, share in stated)),
         scale_std=float(sum(share * part.scale_std for part, share in stated)),
     )

@@ -43,8 +43,8 @@ class EffectDoubt:
         stds: of each effect, the standard errors of its parameters by name.
         run_offset_std_deg: between days and clampings; 0 where it is not known.
         fitted_here: parameters that were fitted to the very poses that the effects are taken out of.
-        factors: of each effect, by parameter, the rows of a matrix L, where their covariance is known as L·Lᵀ;
-            the parameters of an effect without rows are taken as uncorrelated.
+        factors: of each effect, by parameter, the rows of a matrix L, where their covariance is known as
+            L·Lᵀ; the parameters of an effect without rows are taken as uncorrelated.
     """
 
     stds: Sequence[Mapping[str, float]]

@@ -39,7 +39,7 @@ def imu_tk(document: Mapping[str, Any]) -> str:
         *origin_of(document),
         "accelerometer, m/s^2 along the chip's own axes: corrected = T*K*(raw - B), T, K and B as above",
         f"effects of the document that are not in it: {left_out}",
-        *found.curve_says,
+        *found.uncertainty_says,
         f"test vector: raw {vector(raw)} -> corrected {vector(corrected)}",
     ]
     blocks = (misalignment, np.diag(scale), bias[:, None])

@@ -48,7 +48,7 @@ def imucal(document: Mapping[str, Any]) -> str:
         "along the chip's own axes",
         *([] if gyro.is_whole else ["of the gyro's scale and misalignment not all was measured"]),
         *([f"not in it: {', '.join(accelerometer.left_out)}"] if accelerometer.left_out else []),
-        *accelerometer.curve_says,
+        *accelerometer.uncertainty_says,
         f"test vector: raw {vector(RAW_G)} g, {vector(RAW_DPS)} deg/s -> {vector(acceleration)} m/s^2, "
         f"{vector(rate)} deg/s",
     ]

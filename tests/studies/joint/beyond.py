@@ -207,7 +207,9 @@ CASES: dict[str, tuple[Wrong, tuple[float, float]]] = {
 def table_row(name: str, judged: Sequence[Judged]) -> str:
     """One fault: coverage with its standard error over benches, RMS error, RMS stated, benches refused."""
     within = np.array([one.within_two for one in judged])
-    achieved, stated = (math.sqrt(np.mean([getattr(one, of) for one in judged])) for of in ("square", "stated"))
+    achieved, stated = (
+        math.sqrt(np.mean([getattr(one, of) for one in judged])) for of in ("square", "stated")
+    )
     error = float(within.std(ddof=1)) / math.sqrt(len(within))
     coverage = f"{100 * within.mean():.1f} ± {100 * error:.1f} %"
     refused = sum(one.refused for one in judged)

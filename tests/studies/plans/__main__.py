@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from itertools import product
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from . import coverage, rig_runs, trial
 
 REFERENCES = {"a map of 0.003°": Reference(0.003, "harmonic", "normal"), "0.29°, ± 0.5°": Reference(0.29)}
 RUNS = 500
+BIAS_GOAL = 0.25
+"""Standard error of a bias, in scatters of a reading."""
 
 
 def times() -> None:
@@ -74,18 +77,31 @@ def _row(
     )
 
 
-def covered(runs: int) -> None:
+def covered(runs: int, seed: int) -> None:
     """What is inside of what runs state that end as soon as they are good enough."""
-    _say("| plan | dwell shows | U wanted | ended early | poses | U | bias | scale |")
+    _say("| plan | noise within dwells | target U | ended early | poses | U | bias | scale |")
     _say("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    plans = {"28 designed": coverage.designed(28), "52 fixed": Plan(), "65 turning": coverage.turning(4)}
-    for name, plan in plans.items():
-        for share in (1.0, 0.7, 0.3):
-            for wanted in (4.0, 3.0, 2.5, 2.2, 2.0, 1.8):
-                c = coverage.covered(plan, wanted, share, runs, seed=1)
-                inside = " | ".join(f"{100 * one:.1f} %" for one in (c.elevation, c.bias, c.scale))
-                stopped = f"{100 * c.early:.0f} % | {c.poses:.0f}"
-                _say(f"| {name} | {share:g} s | {wanted:g} s | {stopped} | {inside} |")
+    dwells, wanted = (1.0, 0.7, 0.3), (3.0, 2.5, 2.2, 2.0, 1.8)
+    plans = (
+        ("28 poses, designed", coverage.designed(28), dwells, wanted),
+        ("52 poses, fixed", Plan(), dwells, wanted),
+        ("65 poses, sweep", coverage.turning(4), (1.0, 0.5), wanted[:-1]),
+    )
+    for name, plan, shares, targets in plans:
+        for share, target in product(shares, targets):
+            c = coverage.covered(plan, target, share, runs, seed=seed)
+            _say(f"| {name} | {share:g} s | {target:g} s | {_counted(c)} |")
+    _say("\n| correlation | goal | ended early | poses | U | bias | scale |")
+    _say("| --- | --- | --- | --- | --- | --- | --- |")
+    for correlation, (goal, of_bias) in product((0.0, 0.3, 0.6), (("U 2.5 s", False), ("bias", True))):
+        times = BIAS_GOAL if of_bias else 2.5
+        c = coverage.covered(Plan(), times, 0.5, runs, seed, correlation=correlation, of_bias=of_bias)
+        _say(f"| {correlation:g} | {goal} | {_counted(c)} |")
+
+
+def _counted(c: coverage.Covered) -> str:
+    inside = " | ".join(f"{100 * one:.1f} %" for one in (c.elevation, c.bias, c.scale))
+    return f"{100 * c.early:.0f} % | {c.poses:.0f} | {inside}"
 
 
 def found(runs: int) -> None:
@@ -188,11 +204,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.plans", description=__doc__)
     parser.add_argument("table", nargs="?", choices=("times", "coverage", "suspects", "rigs", "found"))
     parser.add_argument("--runs", type=int)
+    parser.add_argument("--seed", type=int, default=1, help="of the noise of `coverage`")
     given = parser.parse_args()
     if given.table in (None, "times"):
         times()
     if given.table in (None, "coverage"):
-        covered(given.runs or 2000)
+        covered(given.runs or 2000, given.seed)
     if given.table in (None, "suspects"):
         found(given.runs or 20)
     if given.table in (None, "rigs"):
