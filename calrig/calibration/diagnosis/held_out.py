@@ -36,6 +36,8 @@ from calrig.calibration.regression.run_changes import with_free_levels
 from calrig.estimation.angles import FloatArray
 
 FOLDS = 4
+LEAST_GAIN = 1e-3
+"""Of the error on held-out poses: what lowers it by less gains nothing."""
 BOOTSTRAPS = 270
 """Enough to tell ¾ % from more, one draw of noise beyond it allowed; the p-value that is reported comes from
 the search over all poses.
@@ -55,9 +57,13 @@ class CrossValidation:
     is_searched: bool = True
 
     @property
-    def is_harmful(self) -> bool:
-        """Whether the error is larger with the effects than without."""
-        return rms(self.final_deg) > rms(self.base_deg)
+    def is_gain(self) -> bool:
+        """Whether the error is smaller with the effects than without."""
+        return rms(self.final_deg) < (1.0 - LEAST_GAIN) * rms(self.base_deg)
+
+    def of_nothing(self) -> CrossValidation:
+        """Return the errors where no effect is listed: what folds found by themselves is not claimed."""
+        return replace(self, final_deg=self.base_deg)
 
 
 def cross_validate(
@@ -114,24 +120,28 @@ def _in_all_poses(found: Candidate, r: Responses, candidates: Sequence[Candidate
 def without_harm(
     findings: Findings, held_out: CrossValidation
 ) -> tuple[Findings, CrossValidation, list[str]]:
-    """Reduce effects with which the error on held-out poses is larger than without them, until it is not.
+    """Reduce effects with which the error on held-out poses is no smaller than without them, until it is.
 
-    Where the folds' own searches did harm, the effects of all poses are fitted again in each fold. While the
-    error is larger than without them, the effect leaves whose absence lowers the error most.
+    Where the folds' own searches gain nothing, the effects of all poses are fitted again in each fold. While
+    the error is no smaller than without them, the effect leaves whose absence lowers the error most.
 
     Returns:
         The findings, the errors on held-out poses, and a warning if effects left.
     """
-    if not held_out.is_harmful:
+    if not findings.found:
+        return findings, held_out.of_nothing(), []
+    if held_out.is_gain:
         return findings, held_out, []
     r, found = findings.responses, list(findings.found)
 
     def refitted(those: Sequence[SelectedEffect]) -> CrossValidation:
-        final_deg = _errors(r, tuple(f.candidate for f in those), BETWEEN) if those else held_out.base_deg
+        if not those:
+            return held_out.of_nothing()
+        final_deg = _errors(r, tuple(f.candidate for f in those), BETWEEN)
         return CrossValidation(held_out.base_deg, final_deg, held_out.folds, is_searched=False)
 
     again = refitted(found)
-    while again.is_harmful:
+    while found and not again.is_gain:
         fewer = [[f for f in found if f is not one] for one in found]
         found = min(fewer, key=lambda those: rms(refitted(those).final_deg))
         again = refitted(found)
@@ -139,8 +149,8 @@ def without_harm(
     if not left:
         return findings, again, []
     warning = (
-        f"{', '.join(left)}: significant, but not listed, since the error on held-out poses is larger with "
-        f"it: RMS {rms(held_out.base_deg):#.3g}° before and {rms(held_out.final_deg):#.3g}° after"
+        f"{', '.join(left)}: significant, but not listed, since the error on held-out poses is no smaller "
+        f"with it: RMS {rms(held_out.base_deg):#.3g}° before and {rms(held_out.final_deg):#.3g}° after"
     )
     return with_effects(findings, found), again, [warning]
 

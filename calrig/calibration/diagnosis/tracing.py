@@ -29,10 +29,13 @@ from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, war
 from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, model_words
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
+from calrig.calibration.effects.unnamed import TIMES
 from calrig.calibration.line import fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE
+from calrig.calibration.regression.effect import APPROACH
+from calrig.calibration.regression.motion import DERIVED_APPROACH, with_approach
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import names_of, responses_of
 from calrig.estimation.angle_text import angle_text
@@ -89,8 +92,9 @@ def diagnose(
     Raises:
         DiagnosisError: the poses cannot be diagnosed; the message says why.
     """
-    whole, incomplete = complete(runs)
-    r = responses_of(whole, names_of(runs, whole, run_ids), request)
+    given, incomplete = complete(runs)
+    whole, is_derived = with_approach(given)
+    r = responses_of(whole, names_of(runs, given, run_ids), request)
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = established(search(r, candidates, rng, bootstraps=bootstraps), draws=True)
@@ -112,8 +116,14 @@ def diagnose(
     lack = _lack_of_fit(kept, findings)
     said = warning_of(lack, found=bool(findings.found))
     told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
-    warnings = (*outliers, *incomplete, *r.warnings, *harm, *told)
+    derived = [DERIVED_APPROACH] if is_derived and _rests_on_approach(findings) else []
+    warnings = (*outliers, *incomplete, *derived, *r.warnings, *harm, *told)
     return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
+
+
+def _rests_on_approach(findings: Findings) -> bool:
+    suspects = [one for f in findings.found for one in (f.candidate, *f.rivals)]
+    return any(APPROACH.name in one.covariate.split(TIMES) for one in suspects)
 
 
 def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFit:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import NamedTuple
 
@@ -29,6 +29,9 @@ HISTORY = ("time_s", "sweep", "approach", "gyro_move_deg")
 """Any of these says that rows follow one another as they were measured."""
 STANDING = ("reading_std_deg", "reading_stderr_deg", "n_samples", "settle_s", "gyro_move_deg", "filtering")
 """Any of these says that a pose is a dwell."""
+DERIVED_APPROACH = (
+    "no column tells the approach: the sense of each move was taken from the angles in the order of the rows"
+)
 TURN_DEG = 360.0
 FEWEST = 4
 AT_A_POSE = 1e-2
@@ -42,6 +45,8 @@ SHORTEST_STOP_S = 2.0
 """Between poses, to move on, settle and take a mean: readings that follow faster were taken on the move."""
 AT_REST = 0.05
 """Of the longest step between readings: shorter ones are no motion."""
+NO_STEP = 0.02
+"""Of the median step from pose to pose: shorter ones are what a stage at rest reports, and no move."""
 MOST_REVERSALS = 0.25
 """To a reading of a log taken on the move: a stroke has several of them."""
 ODD_SPEEDS, SAME_SPEED = 0.1, 0.05
@@ -181,6 +186,31 @@ def approach_of(poses: Sequence[Pose]) -> FloatArray | None:
     if given is None and _taken_on_the_move(poses):
         return np.sign(_derived(poses).mean_dps(SHORTEST_LAG_S))
     return given
+
+
+def with_approach(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], bool]:
+    """Return runs whose poses tell the sense of their last move, and whether steps had to tell it.
+
+    A stage that stops at each pose, in an order that is known, came from the pose before.
+    """
+    found, is_derived = [], False
+    for run in runs:
+        if column_of(run, "approach") is not None or not has_history(run) or _taken_on_the_move(run):
+            found.append(list(run))
+            continue
+        senses = _senses(_steps_deg(run))
+        is_derived |= bool(np.ptp(senses) > 0.0)
+        found.append([replace(pose, approach=int(k)) for pose, k in zip(run, senses, strict=True)])
+    return found, is_derived
+
+
+def _senses(step_deg: FloatArray) -> FloatArray:
+    """Return (n,) sign of the last step that moved the stage; 0 before the first."""
+    size_deg = np.abs(np.nan_to_num(step_deg))
+    steps_deg = size_deg[size_deg > 0.0]
+    moved = size_deg > (NO_STEP * np.median(steps_deg) if len(steps_deg) else 0.0)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(step_deg)), 0))
+    return np.asarray(np.where(moved[last], np.sign(step_deg[last]), 0.0), dtype=np.float64)
 
 
 def _derived(poses: Sequence[Pose]) -> Motion:

@@ -40,6 +40,7 @@ from calrig.calibration.regression.motion import (
     moves_deg,
     stretches_deg,
     travel_deg,
+    with_approach,
 )
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.estimation.angles import FloatArray
@@ -214,7 +215,8 @@ def responses_of(
     Raises:
         DiagnosisError: too few poses, or readings that cannot be degrees of elevation.
     """
-    kept, warnings = complete(runs)
+    given, warnings = complete(runs)
+    kept, _ = with_approach(given)
     poses = [pose for run in kept for pose in run]
     if len(poses) < FEWEST_POSES:
         raise DiagnosisError(
@@ -241,7 +243,7 @@ def responses_of(
     approach = np.concatenate(senses) if len(senses) == len(kept) else None
     return Responses(
         run=run_index,
-        run_ids=names_of(runs, kept, run_ids),
+        run_ids=names_of(runs, given, run_ids),
         theta_deg=theta,
         move_deg=move,
         settled=np.array([pose.settled for pose in poses]),

@@ -1,0 +1,82 @@
+"""Poses whose order is known tell from where each was come to, also without a column `approach`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from posed import posed
+
+from calrig.calibration.diagnosis.tracing import trace
+from calrig.calibration.regression.motion import DERIVED_APPROACH, with_approach
+from calrig.calibration.regression.responses import responses_of
+
+PLAY_DEG = 0.2
+
+
+def triangle_deg():
+    up = np.linspace(-60.0, 60.0, 25)
+    return np.concatenate([up, up[-2::-1], up[1:], up[-2::-1]])
+
+
+def with_play(theta_deg, noise_deg, seed, growth=0.0, **columns):
+    """Poses of a stage with play; `growth` is its share more at each 60° of elevation."""
+    noise = noise_deg * np.random.default_rng(seed).standard_normal(len(theta_deg))
+    sense = np.sign(np.diff(theta_deg, prepend=theta_deg[0] - 1.0))
+    play_deg = PLAY_DEG * (1.0 + growth * theta_deg / 60.0)
+    reading_deg = 0.3 + 1.001 * theta_deg + play_deg / 2.0 * sense + noise
+    return posed(target_deg=theta_deg, reading_deg=reading_deg, **columns)
+
+
+@pytest.mark.parametrize("column", ["time_s", "pass"])
+def test_play_of_a_triangle_without_approach_is_backlash_and_no_slip(column):
+    theta_deg = triangle_deg()
+    order = {"time_s": 4.0 * np.arange(97), "pass": np.arange(97) // 25}[column]
+    found = trace([with_play(theta_deg, 0.01, 0, **{column: order})], ["1"])
+    assert [(e["name"], e["verdict"]) for e in found["effects"]] == [("backlash", "named")]
+    assert found["effects"][0]["parameters"]["backlash_deg"]["value"] == pytest.approx(PLAY_DEG, abs=0.01)
+    assert found["final"]["held_out_rms_deg"] < 0.2 * found["base"]["held_out_rms_deg"]
+    assert DERIVED_APPROACH in found["warnings"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_play_of_27_rests_in_any_order_is_found(seed):
+    theta_deg = np.random.default_rng(seed).permutation(np.linspace(-65.0, 65.0, 27))
+    found = trace([with_play(theta_deg, 0.03, seed, time_s=20.0 * np.arange(27))], ["1"])
+    assert [(e["name"], e["verdict"]) for e in found["effects"]] == [("backlash", "named")]
+
+
+def test_play_that_grows_along_the_range_is_found():
+    poses = with_play(triangle_deg(), 0.03, 1, growth=1.0, time_s=4.0 * np.arange(97))
+    found = trace([poses], ["1"])
+    assert [e["covariate"] for e in found["effects"]] == ["approach·target_deg"]
+
+
+def test_a_stage_that_was_asked_for_no_step_came_as_it_did_before():
+    theta_deg = np.array([0.0, 10.0, 10.0001, 20.0, 19.9999, 10.0, 10.0, 20.0])
+    poses = posed(target_deg=theta_deg, reading_deg=theta_deg, time_s=4.0 * np.arange(8))
+    ((run,), is_derived) = with_approach([poses])
+    assert [pose.approach for pose in run] == [0, 1, 1, 1, 1, -1, -1, 1]
+    assert is_derived
+    assert responses_of([poses]).approach.tolist() == [0, 1, 1, 1, 1, -1, -1, 1]
+
+
+@pytest.mark.parametrize("columns", [{}, {"time_s": 4.0 * np.arange(97), "approach": np.ones(97)}])
+def test_without_an_order_or_with_an_approach_nothing_is_derived(columns):
+    poses = with_play(triangle_deg(), 0.01, 0, **columns)
+    ((run,), is_derived) = with_approach([poses])
+    assert run == poses
+    assert not is_derived
+
+
+def test_a_diagnosis_of_nothing_states_no_error_after():
+    """Slow wandering that each fold explains by itself, and that all poses together leave to noise."""
+    rng = np.random.default_rng(3)
+    theta_deg = triangle_deg()
+    for _ in range(6):
+        wander_deg = 0.02 * np.cumsum(rng.standard_normal(97))
+        poses = posed(target_deg=theta_deg, reading_deg=theta_deg + wander_deg, time_s=4.0 * np.arange(97))
+        found = trace([poses], ["1"])
+        before_deg, after_deg = (found[model]["held_out_rms_deg"] for model in ("base", "final"))
+        assert (after_deg == before_deg) is (found["verdict"] == "nothing")
+        assert after_deg <= before_deg
+        assert found["effects"] or DERIVED_APPROACH not in found["warnings"]
