@@ -157,7 +157,12 @@ function figureCells(run) {
   ];
 }
 
+const NEGLIGIBLE = 0.1; // of the larger other component: below it, a component adds less than 0.5 % to the total
+
 function spreadOf(name, { between_units_std: between, within_unit_std: within, says }, unit, repeats) {
+  const others = Math.max(repeats?.day_std ?? 0, within ?? 0);
+  const isNegligible = repeats && repeats.reclamping_std < NEGLIGIBLE * others;
+  const remounting = isNegligible ? "negligible" : significant(repeats?.reclamping_std, 2, unit);
   return h(
     "div",
     {},
@@ -172,8 +177,8 @@ function spreadOf(name, { between_units_std: between, within_unit_std: within, s
       h(
         "p",
         {},
-        `Remounting adds ${significant(repeats.reclamping_std, 2, unit)}`,
-        isKnown(repeats.day_std) && `, day to day ${significant(repeats.day_std, 2, unit)}`,
+        `Remounting: ${remounting}`,
+        isKnown(repeats.day_std) && `; day to day: ${significant(repeats.day_std, 2, unit)}`,
         " (over all units).",
       ),
     h("p", { class: "muted" }, says),

@@ -3,7 +3,7 @@
 import { post, serviceError } from "./api.js";
 import { askConfirmation } from "./ask.js";
 import { button, field, fill, h, markWrong, paragraphs, select, unfold } from "./dom.js";
-import { duration, fixed, plural, significant } from "./format.js";
+import { duration, fixed, plural } from "./format.js";
 
 const JITTER_WHY = "Several mounts: half a step of jitter also shows stage errors between the steps.";
 const TYPING_MS = 250; // no request while the user types
@@ -147,7 +147,7 @@ export function planForm(of, signal) {
 
   async function ask() {
     warn([]);
-    if (![...element.elements].every((input) => input.checkValidity())) return fill(summary, "No poses yet.");
+    if ([...element.elements].some((input) => input.willValidate && !input.validity.valid)) return fill(summary, "No poses yet.");
     asked = new AbortController();
     const plan = value();
     try {
@@ -245,7 +245,7 @@ function estimateText(plan, { n_poses: poses, wall_s: seconds, elevations_deg: e
   const each = turns && `; ${plural(poses / plan.mounts_deg.length, "pose")} per mounting, the unit remounted `;
   const often = turns && (["once", "twice"][turns - 1] ?? `${turns} times`);
   const [low, high] = [Math.min(...elevations), Math.max(...elevations)].map((end) => fixed(end, end % 1 ? 1 : 0, "°"));
-  const jitter = plan.jitter_deg ? `, jitter ±${significant(plan.jitter_deg, 2, "°")}` : "";
+  const jitter = plan.jitter_deg ? `, jitter ±${Number(plan.jitter_deg.toPrecision(2))}°` : "";
   return [
     h("strong", {}, plural(poses, "pose")),
     `, ${low} to ${high}${jitter}, ${upTo} ${duration(seconds)}${wait}`,

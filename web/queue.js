@@ -243,6 +243,8 @@ class QueuePage {
       this.scannedAt = performance.now();
       if (this.list.closed_at) this.#another(serial);
       else this.#scanned(serial);
+    } else if (this.stopping) {
+      this.#tell(STOPPED);
     } else if (performance.now() - this.scannedAt > SCANNER_MS) {
       if (this.isOver) this.#another();
       else if (this.meant) this.meant.press();

@@ -4,6 +4,7 @@ import { h, rigHref, runLink, runName, solveHref, statusPill, unitHref, unitLink
 import { moment, plural } from "./format.js";
 import { interruptions } from "./interrupted.js";
 import { kindTag } from "./runlist.js";
+import { solutionLinks } from "./solutions.js";
 
 export function heading(run) {
   return h(
@@ -52,6 +53,7 @@ export function downloads(run, path) {
     run.plan && link(`${path}/samples?format=npz`, "Raw samples (NPZ)"),
     h("a", { href: unitHref(run.unit) }, "History and calibration of this unit"),
     h("a", { href: solveHref({ rig: run.rig, unit: run.unit }) }, "Separate errors of stage and unit"),
+    solutionLinks({ rig: run.rig, run: run.id }),
   );
 }
 

@@ -22,6 +22,7 @@ import { fixed, isKnown, moment, plural, plusMinus, significant } from "./format
 import { LongWork } from "./longwork.js";
 import { may } from "./me.js";
 import { runHeadings, runRow } from "./runlist.js";
+import { solutionLinks } from "./solutions.js";
 
 export async function unitView({ root, parts: [serial], signal }) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
@@ -48,6 +49,7 @@ export async function unitView({ root, parts: [serial], signal }) {
         { class: "downloads" },
         h("a", { href: `#/compare?unit=${encodeURIComponent(serial)}` }, "Compare with other units"),
         solvable && h("a", { href: solveHref({ rig: solvable.rig, unit: serial }) }, "Separate errors of stage and unit"),
+        solutionLinks({ unit: serial }, signal),
         h("a", { href: `#/trail?unit=${encodeURIComponent(serial)}` }, "Audit log of this unit"),
         h("a", { href: `${path}/archive`, download: "", id: "archive" }, "Archive of this unit (ZIP)"),
       ),

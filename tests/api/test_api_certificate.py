@@ -236,7 +236,7 @@ def test_without_typst_it_is_said_what_to_install(
     monkeypatch.setitem(sys.modules, "typst", None)  # as where it is not installed
     answer = lab[0].get(f"/api/units/{SERIAL}/calibration?format=pdf")
     assert answer.status_code == 501
-    assert "pip install 'calrig[certificate]'" in answer.json()["detail"]
+    assert "pip install 'typst" in answer.json()["detail"]
 
 
 def test_a_run_on_an_overdue_reference_is_flagged_or_not_begun(

@@ -53,6 +53,7 @@ def test_a_list_goes_unit_by_unit_with_one_key_and_is_the_same_in_another_tab(pa
     file = {"name": "tray.csv", "mimeType": "text/csv", "buffer": b"lot,serial,\xfcber\n7,PQ-2\n7\n7,PQ-3\n"}
     page.locator("#csv").set_input_files(file)
     expect(page.locator("#csv-says")).to_contain_text(re.compile("2 .*added.*; 1 row "))
+    unfold_plan(page)
     page.get_by_label("List").check()
     page.locator("#elevations_deg").fill("0, 20")
     for name, value in {"sweeps": 1, "settle_s": 0.2, "dwell_s": 0.5, "mounts_deg": "0"}.items():

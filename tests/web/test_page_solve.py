@@ -47,6 +47,11 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     with page.expect_download() as download:
         page.get_by_role("link", name="Calibration (JSON)").click()
     assert json.loads(download.value.path().read_text(encoding="utf-8"))["unit"] == "CLAMPED-3"
+    here = page.url
+    for view in ("#/units/CLAMPED-3", f"#/runs/{runs[0]}"):
+        go(view)
+        page.locator(".solutions a").first.click()
+        page.wait_for_url(here)
     page.get_by_role("button", name="Draft a calibration of CLAMPED-3…").click()
     page.get_by_test_id("confirm").click()
     expect(page.locator("[data-unit='CLAMPED-3'] [role=status]")).to_contain_text("Revision 4 (in force)")

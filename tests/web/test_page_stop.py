@@ -86,6 +86,56 @@ def test_the_keyboard_reaches_it_in_three_steps(page, client, go, expect):
     expect(page.locator("#status")).to_have_text("aborted")
 
 
+def test_escape_stops_what_the_queue_has_under_way_and_no_key_that_follows_starts_anything(
+    page, client, go, expect
+):
+    batch = client.post("/api/batches", json={"units": ["ESC-1", "ESC-2"], "plan": LONG}).raise_for_status()
+    go(f"#/queue/{batch.json()['id']}")
+    expect(page.locator("[data-go]")).to_be_enabled()
+    expect(page.locator(".todo")).to_have_text("Mount ESC-1, press Enter")
+    page.keyboard.press("Escape")
+    expect(page.locator("#stop-line")).to_be_hidden()  # nothing is under way
+    page.keyboard.press("Enter")
+    expect(page.locator(".todo")).to_have_text("ESC-1 is being measured")
+    page.locator("#queue-units a").first.focus()
+    page.keyboard.press("Escape")
+    expect(page.locator("#scan")).to_be_focused()
+    for _ in range(3):
+        page.keyboard.press("Enter")
+    page.keyboard.type("ESC-2\n")
+    expect(page.locator("#stop-line")).to_contain_text("bench-1: stage stopped")
+    (run,) = client.get("/api/runs?q=ESC-").json()["items"]
+    assert ended(client, run["id"])["status"] == "aborted"
+    expect(page.locator(".todo")).to_have_text("Mount ESC-1, press Enter")
+    assert len(client.get("/api/runs?q=ESC-").json()["items"]) == 1
+    client.post(f"/api/batches/{batch.json()['id']}/close").raise_for_status()
+
+
+def test_after_a_stop_in_the_header_the_queue_has_the_keyboard_again(page, client, go, expect):
+    batch = client.post("/api/batches", json={"units": ["HEAD-1"], "plan": LONG}).raise_for_status().json()
+    client.post(f"/api/batches/{batch['id']}/start", json={"rig": "bench-1", "unit": "HEAD-1"}).raise_for_status()
+    go(f"#/queue/{batch['id']}")
+    expect(page.locator(".todo")).to_have_text("HEAD-1 is being measured")
+    page.focus("button.stop")
+    page.keyboard.press("Enter")
+    expect(page.locator("#scan")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.locator("#queue-said")).to_contain_text("Not started: a stop was just requested")
+    expect(page.locator("#stop-line")).to_contain_text("bench-1: stage stopped")
+    assert len(client.get("/api/runs?q=HEAD-").json()["items"]) == 1
+    client.post(f"/api/batches/{batch['id']}/close").raise_for_status()
+
+
+def test_escape_stops_the_run_on_its_page_and_on_its_rigs(page, client, go, expect):
+    for view in ("runs", "rigs"):
+        run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
+        go(f"#/runs/{run['id']}" if view == "runs" else "#/rigs/bench-1")
+        expect(page.locator("#abort" if view == "runs" else "#check")).to_be_visible()
+        page.keyboard.press("Escape")
+        expect(page.locator("#stop-line")).to_contain_text("bench-1: stage stopped")
+        assert ended(client, run["id"])["status"] == "aborted"
+
+
 def test_a_question_that_waits_for_its_answer_does_not_stand_before_it(page, client, go, expect):
     old = imported(client, "A")
     run = client.post("/api/runs", json={"unit": "B", "plan": LONG}).raise_for_status().json()

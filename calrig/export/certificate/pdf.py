@@ -18,7 +18,7 @@ from calrig.export.certificate.signing import signed_pdf
 from calrig.laboratory import LaboratorySettings
 
 STANDARD: Literal["a-3b"] = "a-3b"
-NEEDS = "a certificate as PDF needs `pip install 'calrig[certificate]'`"
+NEEDS = "a certificate as PDF needs typst, which this installation lacks: `pip install 'typst>=0.15,<0.16'`"
 _TEMPLATE = Path(__file__).with_name("certificate.typ")
 
 
