@@ -33,6 +33,7 @@ class SharedProcesses(Processes):
         function: Callable[..., T],
         *,
         user: str = "",
+        longest_s: float | None = None,
         begun: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] | None = None,
     ) -> T:
@@ -43,7 +44,13 @@ class SharedProcesses(Processes):
         def heard(call: Callable[..., None]) -> Callable[..., None]:
             return lambda *told: (here.call_soon_threadsafe(call, *told), None)[1]
 
-        work = super().run(function, user=user, begun=heard(begun), progress=progress and heard(progress))
+        work = super().run(
+            function,
+            user=user,
+            longest_s=longest_s,
+            begun=heard(begun),
+            progress=progress and heard(progress),
+        )
 
         def begin() -> None:
             tasks.append(self._loop.create_task(work))

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, cast, get_args
 
+from calrig.analysis.certificate_forms import Forms, forms_of
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.analysis.noise_studies import noise_of_unit
 from calrig.analysis.results import rest_on_map
@@ -19,26 +20,19 @@ from calrig.export.archive.contents import unit_archive
 from calrig.export.archive.layout import certificate_name
 from calrig.export.certificate.content import Certificate, Issue
 from calrig.export.certificate.making import Sources, certificate_of
-from calrig.export.certificate.pdf import (
-    Attached,
-    CannotPrintError,
-    RendererMissingError,
-    pdf_of,
-    require_renderer,
-)
-from calrig.export.dcc.document import dcc_of
-from calrig.export.dcc.signing import signed
+from calrig.export.certificate.pdf import CannotPrintError, has_renderer, require_renderer
 from calrig.export.formats import CalibrationExporter, NoiseExporter
 from calrig.export.triads import NotHeldError
-from calrig.figures.svg import residual_steps, svg_of
 from calrig.laboratory import LaboratorySettings
 from calrig.model.verdict import Limit
+from calrig.processes.pool import OffloadedCall
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.certificates import Form, IssuedCertificate
 from calrig.store.issued import Revision
 from calrig.store.records import Document, StoredPose
 from calrig.store.trail import Entry, What
 
+T = TypeVar("T")
 EVERY_ENTRY = 1_000_000
 
 
@@ -142,35 +136,25 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     )
 
 
-Heavy = Callable[[Callable[[], bytes]], bytes]
-"""Carries out what takes seconds, in a process of its own or here."""
-
-
-def _here(function: Callable[[], bytes]) -> bytes:
+def _here(function: Callable[[], T]) -> T:
     return function()
 
 
 def certificate_dcc(
-    store: Store, revision: Revision, laboratory: LaboratorySettings, issue: Issue | None = None
+    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: OffloadedCall = _here
 ) -> bytes:
-    """A revision's certificate as a DCC, signed where the laboratory has a key; without `issue` a preview.
+    """A preview of a revision's certificate as a DCC, signed where the laboratory has a key.
 
     Raises:
         SignerMissingError: what signs is not installed.
         WorkError: key and certificate cannot be signed with.
     """
-    return _signed_dcc(certificate(store, revision, laboratory, issue), revision, laboratory)
-
-
-def _signed_dcc(said: Certificate, revision: Revision, laboratory: LaboratorySettings) -> bytes:
-    made = dcc_of(said, revision.text.encode(), laboratory.country)
-    if laboratory.signing_key is None or laboratory.signing_certificate is None:
-        return made
-    return signed(made, Path(laboratory.signing_key), Path(laboratory.signing_certificate))
+    said = certificate(store, revision, laboratory)
+    return _forms(said, revision, laboratory, carried_out, printed=False).dcc
 
 
 def certificate_pdf(
-    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: Heavy = _here
+    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: OffloadedCall = _here
 ) -> bytes:
     """A preview of a revision's certificate as PDF/A-3, the calibration document and its DCC inside.
 
@@ -178,24 +162,21 @@ def certificate_pdf(
         RendererMissingError: what makes PDFs is not installed.
         Conflict: something that it says cannot be printed, and what.
     """
-    said = certificate(store, revision, laboratory)
-    return _pdf(said, _signed_dcc(said, revision, laboratory), revision, laboratory, carried_out)
-
-
-def _pdf(
-    said: Certificate, dcc: bytes, revision: Revision, laboratory: LaboratorySettings, carried_out: Heavy
-) -> bytes:
     require_renderer()  # before a process is asked
-    found = said.residuals
-    steps = [(step.title, step.left_deg) for step in found.steps]
-    picture = svg_of(residual_steps(found.elevation_deg, found.approach, steps))
-    document = revision.text.encode()
-    attached = [
-        Attached("calibration.json", document, "application/json", "The calibration document as issued"),
-        Attached("certificate.xml", dcc, "application/xml", "This certificate as a DCC"),
-    ]
+    made = _forms(certificate(store, revision, laboratory), revision, laboratory, carried_out, printed=True)
+    return cast(bytes, made.pdf)
+
+
+def _forms(
+    said: Certificate,
+    revision: Revision,
+    laboratory: LaboratorySettings,
+    carried_out: OffloadedCall,
+    *,
+    printed: bool,
+) -> Forms:
     try:
-        return carried_out(partial(pdf_of, said, picture, attached, laboratory))
+        return carried_out(partial(forms_of, said, revision.text.encode(), laboratory, printed=printed))
     except CannotPrintError as error:
         raise Conflict(f"revision {revision.revision} of unit {revision.unit!r}: {error}") from error
 
@@ -208,7 +189,7 @@ def issue_certificate(
     by: str | None = None,
     replaces: str | None = None,
     reason: str | None = None,
-    carried_out: Heavy = _here,
+    carried_out: OffloadedCall = _here,
 ) -> IssuedCertificate:
     """Issue the certificate of a revision: its bytes and its entry in the trail are kept for ever.
 
@@ -219,7 +200,7 @@ def issue_certificate(
         by: who issues it; None where nobody is known by name.
         replaces: number of the certificate that it corrects.
         reason: why that is corrected.
-        carried_out: carries out the typesetting.
+        carried_out: makes the documents.
 
     Raises:
         Invalid: it replaces one and no reason is given.
@@ -235,11 +216,7 @@ def issue_certificate(
         raise Invalid("a certificate that replaces another needs the reason", fields=("reason",))
     issue = Issue(datetime.now(UTC), by, replaces, reason, *store.trail.head())
     said = certificate(store, revision, laboratory, issue)
-    dcc = _signed_dcc(said, revision, laboratory)
-    try:
-        pdf = _pdf(said, dcc, revision, laboratory, carried_out)
-    except RendererMissingError:
-        pdf = None
+    made = _forms(said, revision, laboratory, carried_out, printed=has_renderer())
     issued = IssuedCertificate(
         number=said.number,
         unit=revision.unit,
@@ -250,14 +227,14 @@ def issue_certificate(
         reason=reason,
         settings=laboratory.model_dump(mode="json"),
         sha256={
-            "pdf": None if pdf is None else hashlib.sha256(pdf).hexdigest(),
-            "dcc": hashlib.sha256(dcc).hexdigest(),
+            "pdf": None if made.pdf is None else hashlib.sha256(made.pdf).hexdigest(),
+            "dcc": hashlib.sha256(made.dcc).hexdigest(),
             "json": hashlib.sha256(revision.text.encode()).hexdigest(),
         },
         trail_seq=issue.trail_seq,
         trail_sha256=issue.trail_sha256,
     )
-    return store.certificates.add(issued, pdf, dcc, revision.status)
+    return store.certificates.add(issued, made.pdf, made.dcc, revision.status)
 
 
 def archive_of(store: Store, serial: str) -> Iterator[bytes]:
@@ -276,6 +253,13 @@ def archive_of(store: Store, serial: str) -> Iterator[bytes]:
                     yield certificate_name(number, form), content
 
     return unit_archive(store, serial, Issuer(store).listed, certificates)
+
+
+def write_archive(serial: str, file: Path, store: Store) -> None:
+    """Write the archive into a file that is there; errors as of `archive_of`, and OSError."""
+    with file.open("wb") as written:
+        for piece in archive_of(store, serial):
+            written.write(piece)
 
 
 def exported(revision: Revision, exporter: CalibrationExporter) -> str:

@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_json
 
 from calrig.analysis.check_standard import suspects
-from calrig.analysis.due_dates import DueDates
+from calrig.analysis.due_dates import DueDates, due_dates
 from calrig.analysis.errors import Unknown
-from calrig.analysis.histories import RULE, Histories, change_of
+from calrig.analysis.histories import RULE, Histories, change_of, histories
 from calrig.calibration.histories import (
     FALSE_DISCOVERY_RATE,
     Components,
@@ -115,6 +116,24 @@ def comparison(
             "says": _marked(apart, len(units), known=any(one is not None for one in found.pooled)),
         },
     }
+
+
+def comparison_json(serials: Sequence[str] | None, interval_days: float, store: Store) -> bytes:
+    """Return the comparison of units as JSON, made from the store.
+
+    Args:
+        serials: of the units in the order wanted; None for all.
+        interval_days: after which a unit is due, unless its drift says otherwise.
+        store: where they are.
+
+    Raises:
+        Unknown: there is no such unit.
+    """
+    found = histories(store, serials)
+    due = due_dates(store, found, serials=serials, interval_days=interval_days)
+    in_force = figures_in_force(store, serials)
+    document = comparison(found, compared_runs(store, serials, found), due, in_force)
+    return to_json(document, inf_nan_mode="null")
 
 
 def _significance(found: Histories) -> tuple[dict[str, float | None], dict[str, int]]:

@@ -208,7 +208,7 @@ def _preview(
     name = f"preview-{found.sha256[:12]}-{found.revision}"
     try:
         if form == "dcc":
-            xml = certificate_dcc(context.store, found, context.laboratory)
+            xml = certificate_dcc(context.store, found, context.laboratory, heavy.from_thread)
             named = {"Content-Disposition": f'attachment; filename="{name}.xml"'}
             return Response(xml, media_type="application/xml", headers=named)
         pdf = certificate_pdf(context.store, found, context.laboratory, heavy.from_thread)

@@ -2,19 +2,24 @@
 
 # No `from __future__ import annotations`: pydantic reads the annotations of the classes.
 
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Annotated, TypeVar
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
-from pydantic_core import to_json
 
-from calrig.analysis.comparison import compared_runs, comparison, figures_in_force
-from calrig.analysis.histories import histories, unit_changes
-from calrig.api.context import Context
+from calrig.analysis.comparison import comparison_json
+from calrig.analysis.histories import unit_changes
+from calrig.analysis.offloaded import with_store
+from calrig.api.context import ApiContext, Context
 from calrig.api.errors import problems
+from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.model.comparison import Change, Comparison
+from calrig.store import Store
 
 router = APIRouter(tags=["units"])
+T = TypeVar("T")
 
 
 @router.get(
@@ -37,16 +42,32 @@ Units = Annotated[
 ]
 
 
-@router.get("/api/compare", response_model=Comparison, responses=problems(404), summary="Units side by side")
-def compare(context: Context, unit: Units = None) -> Response:
+@router.get(
+    "/api/compare",
+    response_model=Comparison,
+    responses=problems(404, 429, 503),
+    summary="Units side by side",
+)
+def compare(context: Context, heavy: Heavy, unit: Units = None) -> Response:
     """Valid calibrations only; `spread` compares the differences between units with the repeatability.
 
     Units that changed by more than repeatability come first, in the order of significance. The test uses all
     units of the store, whichever are requested, and of very many runs the latest.
     """
-    found = histories(context.store, unit)
-    due = context.due_dates(found, unit)
-    in_force = figures_in_force(context.store, unit)
-    document = comparison(found, compared_runs(context.store, unit, found), due, in_force)
+    made = of_units(context, heavy, unit, partial(comparison_json, unit, context.interval_days))
     # Thousands of rows straight from the store: a test holds them to the model, so that no answer has to be.
-    return Response(to_json(document, inf_nan_mode="null"), media_type="application/json")
+    return Response(made, media_type="application/json")
+
+
+FEW_UNITS = 50
+"""They are compared within 0.1 s; more are in another process, so that a stop need not wait for them."""
+
+
+def of_units(
+    context: ApiContext, heavy: BackgroundWork, serials: Sequence[str] | None, work: Callable[[Store], T]
+) -> T:
+    """Return what the work gives for the store: here for a few units, in another process for many."""
+    n = context.store.units.count() if serials is None else len(serials)
+    if n <= FEW_UNITS:
+        return work(context.store)
+    return heavy.from_thread(partial(with_store, context.store.url, work))

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from typing import Annotated, Literal
+from functools import partial
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
 
@@ -10,11 +11,13 @@ from calrig import figures
 from calrig.analysis.calibration_in_force import Fit, residuals_of
 from calrig.analysis.check_standard import check_chart
 from calrig.analysis.comparison import compared_runs
+from calrig.analysis.comparison_figures import ComparedFigure, compared_figure
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import charts, histories
-from calrig.api.compare import Units
+from calrig.api.compare import Units, of_units
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.errors import problems
+from calrig.api.jobs import Heavy
 from calrig.model.noise import Figure
 from calrig.store import Run
 from calrig.store.records import Document
@@ -157,12 +160,13 @@ def rig_chart(name: str, context: Context) -> figures.Figure:
 @router.get(
     "/api/compare/figures/{name}",
     response_model=Figure,
-    responses=problems(404, 422),
+    responses=problems(404, 422, 429, 503),
     summary="A picture of several units",
 )
 def compare_figure(
-    name: Literal["bias", "scale", "rms", "residuals"],
+    name: ComparedFigure,
     context: Context,
+    heavy: Heavy,
     unit: Units = None,
     chosen: Chosen = None,
 ) -> figures.Figure:
@@ -171,15 +175,4 @@ def compare_figure(
     Where units are more than colours, all but the `chosen` ones are dimmed; without any, all but those that
     changed (or the first eight, where none did).
     """
-    found = histories(context.store, unit)
-    units = compared_runs(context.store, unit, found)
-    coloured = chosen or found.changed_units()
-    if name != "residuals":
-        return figures.compare(name, units, coloured)
-    curves = [_curve(context, serial, runs[-1]) for serial, runs in units.items() if runs]
-    return figures.residuals_overlaid(curves, coloured)
-
-
-def _curve(context: ApiContext, serial: str, run: figures.Run) -> figures.Curve:
-    counted = [s.pose for s in context.store.poses.of(run["run_id"], include_excluded=False)]
-    return figures.Curve(serial, counted, run["bias_deg"], run["scale"])
+    return of_units(context, heavy, unit, partial(compared_figure, name, unit, chosen))

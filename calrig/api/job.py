@@ -62,12 +62,16 @@ class Job:
         self._began_s = time.monotonic()
         self.task: asyncio.Task[None] = asyncio.create_task(self._carry_out(work))
 
-    async def run(self, function: Callable[..., T], *, tells_progress: bool = False) -> T:
+    async def run(
+        self, function: Callable[..., T], *, tells_progress: bool = False, longest_s: float | None = None
+    ) -> T:
         """As `Processes.run`; from here on the client may leave."""
         self.asked.set()
         self.fraction = 0.0 if tells_progress else None
         told = self._told if tells_progress else None
-        answer = await self._processes.run(function, user=self._user, begun=self._begun, progress=told)
+        answer = await self._processes.run(
+            function, user=self._user, longest_s=longest_s, begun=self._begun, progress=told
+        )
         self._is_answered = True
         return answer
 

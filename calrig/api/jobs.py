@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -14,12 +15,14 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
 from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.offloaded import with_store
 from calrig.api.access import requires, share_of
 from calrig.api.context import Context, context_of
 from calrig.api.errors import CLIENT_LEFT, Responses, problems
 from calrig.api.job import Job
 from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
+from calrig.store import Store
 
 router = APIRouter(tags=["jobs"])
 
@@ -96,13 +99,13 @@ class BackgroundWork:
         self._context = context_of(request.app)
         self._loop = asyncio.get_running_loop()
 
-    async def __call__(self, function: Callable[[], T]) -> T:
+    async def __call__(self, function: Callable[[], T], *, longest_s: float | None = None) -> T:
         """As `Processes.run`.
 
         Raises:
             HTTPException: the client has left.
         """
-        answer: T = await self.answer(lambda job: job.run(function))
+        answer: T = await self.answer(lambda job: job.run(function, longest_s=longest_s))
         return answer
 
     async def answer(
@@ -151,6 +154,10 @@ class BackgroundWork:
             for one in (left, asked):
                 one.cancel()
             await asyncio.gather(left, asked, return_exceptions=True)
+
+    async def with_store(self, work: Callable[[Store], T], *, longest_s: float | None = None) -> T:
+        """The same for work on the service's store, which the other process opens for reading."""
+        return await self(partial(with_store, self._context.store.url, work), longest_s=longest_s)
 
     def from_thread(self, function: Callable[[], T]) -> T:
         """The same for a thread that does the rest of the request."""

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing
 from datetime import date
-from itertools import chain
-from typing import Annotated, ClassVar, Literal
+from functools import partial
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import IO, Annotated, ClassVar, Literal
 from unicodedata import category
 
-from fastapi import APIRouter, Header, Query
+from fastapi import APIRouter, Header, HTTPException, Query
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response, StreamingResponse
 from pydantic import Field, field_validator
 
-from calrig.analysis.certificates import archive_of
+from calrig.analysis.certificates import write_archive
 from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.histories import histories
 from calrig.analysis.unit_list import (
@@ -25,7 +31,8 @@ from calrig.analysis.unit_list import (
 )
 from calrig.api.access import Who, requires
 from calrig.api.context import Context, KnownUnit
-from calrig.api.errors import problems, problems_in_json
+from calrig.api.errors import no_room, problems, problems_in_json
+from calrig.api.jobs import Heavy
 from calrig.api.measurements import prefers_csv
 from calrig.api.models import Body, UnitAnswer, UnitWithRuns
 from calrig.model.base import Model
@@ -118,6 +125,11 @@ def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> obj
 
 
 ZIP = "application/zip"
+ARCHIVE_S = 3600.0
+"""How long an archive may take: a static log of two days has 4 GB."""
+PIECE_BYTES = 1_000_000
+LOOK_S = 0.1
+"""How often the file is looked at for more."""
 
 
 @router.get(
@@ -125,20 +137,52 @@ ZIP = "application/zip"
     response_class=Response,
     responses={
         200: {"content": {ZIP: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems_in_json(404),
+        **problems_in_json(404, 429, 503),
     },
     summary="All that stands behind a unit's calibrations",
 )
-def show_archive(unit: KnownUnit, context: Context) -> Response:
-    """One zip with every revision, run, pose and sample, and the trail; `calrig verify` checks it."""
+async def show_archive(unit: KnownUnit, heavy: Heavy) -> Response:
+    """One zip with every revision, run, pose and sample, and the trail; `calrig verify` checks it.
+
+    Another process writes it into a file, which is sent as it grows.
+    """
     name = re.sub(r"[^A-Za-z0-9._-]", "_", unit.serial)
     headers = {
         "Content-Disposition": f'attachment; filename="archive-{name}.zip"',
         "Content-Encoding": "identity",  # it is packed
     }
-    pieces = archive_of(context.store, unit.serial)
-    first = next(pieces)  # what is wrong with the store is told in place of it
-    return StreamingResponse(chain([first], pieces), media_type=ZIP, headers=headers)
+    try:
+        file = NamedTemporaryFile(prefix="calrig-")  # noqa: SIM115 (closed with the last piece)
+        work = partial(write_archive, unit.serial, Path(file.name))
+        written = asyncio.ensure_future(heavy.with_store(work, longest_s=ARCHIVE_S))
+        pieces = _growing(file, written)
+        first = await anext(pieces)  # what is wrong with the store is told in place of it
+    except OSError as error:
+        raise HTTPException(503, no_room(error.strerror)) from error
+    return StreamingResponse(_all(first, pieces), media_type=ZIP, headers=headers)
+
+
+async def _growing(file: IO[bytes], written: asyncio.Future[None]) -> AsyncGenerator[bytes]:
+    """What another process writes into a file, as it comes; it ends if nobody takes any more."""
+    try:
+        with file:
+            is_whole = False
+            while not is_whole:
+                is_whole = written.done()
+                while data := await run_in_threadpool(file.read, PIECE_BYTES):
+                    yield data
+                await asyncio.wait({written}, timeout=LOOK_S)
+            written.result()
+    finally:
+        written.cancel()
+        await asyncio.gather(written, return_exceptions=True)
+
+
+async def _all(first: bytes, others: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
+    async with aclosing(others):
+        yield first
+        async for piece in others:
+            yield piece
 
 
 # Last: their paths would take those above for parts of a serial number.

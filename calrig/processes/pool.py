@@ -74,6 +74,7 @@ class Processes:
         function: Callable[..., T],
         *,
         user: str = "",
+        longest_s: float | None = None,
         begun: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] | None = None,
     ) -> T:
@@ -82,6 +83,7 @@ class Processes:
         Args:
             function: of a module, or a `partial` of one; it, its arguments and what it gives are pickled.
             user: whose share it takes: the pieces of several wait in turn.
+            longest_s: how long it may run, if not as long as any piece.
             begun: is called when its turn has come.
             progress: is called with the share that is done, which the function tells by calling what it is
                 given as `progress`; without it, it is given nothing.
@@ -96,7 +98,7 @@ class Processes:
             begun()
             asked = function, progress is not None
             piece = await asyncio.to_thread(pickle.dumps, asked, pickle.HIGHEST_PROTOCOL)
-            reply = await self._carried_out(piece, progress or _unheard)
+            reply = await self._carried_out(piece, progress or _unheard, longest_s or self._longest_s)
             error, given = await asyncio.to_thread(pickle.loads, reply)  # from our own child
         if isinstance(error, MemoryError):
             raise WorkTooLarge(
@@ -124,15 +126,15 @@ class Processes:
         while self._idle:
             await _end(self._idle.pop())
 
-    async def _carried_out(self, piece: bytes, progress: Callable[[float], None]) -> bytes:
+    async def _carried_out(self, piece: bytes, progress: Callable[[float], None], longest_s: float) -> bytes:
         process = await self._process()
         try:
-            async with asyncio.timeout(self._longest_s):
+            async with asyncio.timeout(longest_s):
                 reply = await _asked(process, piece, progress)
         except TimeoutError as error:
             await _end(process)
             raise WorkTooLarge(
-                f"it took longer than {self._longest_s:g} s and was ended: take fewer poses or samples"
+                f"it took longer than {longest_s:g} s and was ended: take fewer poses or samples"
             ) from error
         except (asyncio.IncompleteReadError, ConnectionError) as error:
             await _see_off(process)

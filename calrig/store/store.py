@@ -38,9 +38,13 @@ class Store:
     Each method of a repository is one transaction, on the disk when it returns; `transaction` makes one of
     several. A run that does not exist raises `NotFound` unless the method says otherwise; a failure of the
     database raises `StoreError`; a document with a NaN raises ValueError (an unknown value is None).
+
+    Attributes:
+        url: by which it was opened, with its password if it has one.
     """
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, url: str) -> None:
+        self.url = url
         self._database = database
         self.runs = Runs(database)
         self.poses = Poses(database)
@@ -98,7 +102,7 @@ class Store:
             StoreError: another writer holds it; it is absent (for a reader), older (for a reader), newer,
                 not SQLite, another program's, unreadable, read-only, or the disk is full.
         """
-        return cls(open_database(url, writer, busy_timeout_s, left_by_the_dead))
+        return cls(open_database(url, writer, busy_timeout_s, left_by_the_dead), url)
 
     def transaction(self) -> AbstractContextManager[None]:
         """Make one transaction of what this thread does until the block ends; nothing is stored if it raises.

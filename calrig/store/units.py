@@ -57,6 +57,11 @@ class Units(Repository):
         with self._database.reading() as session:
             return _units(session, serials)
 
+    def count(self) -> int:
+        """How many units there are."""
+        with self._database.reading() as session:
+            return session.exec(select(func.count()).select_from(UnitTable)).one()
+
     def get(self, serial: str) -> Unit | None:
         """The unit, or None."""
         with self._database.reading() as session:

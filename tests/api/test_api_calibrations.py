@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import tempfile
 from xml.etree import ElementTree
 
 import pytest
@@ -12,6 +13,7 @@ from support import imported, running_service, serving
 from typer.testing import CliRunner
 
 import calrig
+from calrig.analysis import certificates
 from calrig.cli.main import app
 from calrig.errors import WorkError
 from calrig.export.archive.check import check_archive
@@ -147,6 +149,17 @@ def test_a_downloaded_archive_is_whole_and_the_same_again(client, unit, tmp_path
     assert (found.problems, found.unit, found.runs, found.refitted) == ([], unit.split("/")[-1], 2, [1, 2])
     assert client.get(f"{unit}/archive").content == answer.content
     assert client.get("/api/units/nobody/archive").status_code == 404
+
+
+def test_an_archive_is_written_by_another_process_and_leaves_no_file(client, unit, monkeypatch, tmp_path):
+    whole = client.get(f"{unit}/archive").raise_for_status().content
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(certificates, "unit_archive", None)  # of the service's own process
+    assert client.get(f"{unit}/archive").raise_for_status().content == whole
+    assert list(tmp_path.glob("calrig-*")) == []
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    refused = client.get(f"{unit}/archive")
+    assert (refused.status_code, "make room there" in refused.json()["detail"]) == (503, True)
 
 
 @pytest.mark.parametrize(

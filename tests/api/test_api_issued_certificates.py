@@ -22,6 +22,7 @@ from pyhanko_certvalidator import ValidationContext
 from signxml.verifier import XMLVerifier
 from support import POSES, running_service, serving
 
+from calrig.analysis import certificate_forms
 from calrig.analysis.certificates import issue_certificate
 from calrig.laboratory import LaboratorySettings
 from calrig.settings import RigSettings
@@ -214,6 +215,16 @@ def test_the_entry_of_the_issue_itself_cannot_be_cut_off_unseen(lab) -> None:
     with service.store._database.writing() as session:
         session.connection().exec_driver_sql(f"DELETE FROM trail WHERE seq > {one['trail_seq']}")
     assert service.store.trail.broken_link() == one["trail_seq"] + 1
+
+
+def test_its_documents_are_made_by_another_process(lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    client, _ = lab
+    for name in ("dcc_of", "svg_of", "pdf_of"):
+        monkeypatch.setattr(certificate_forms, name, None)  # of the service's own process
+    assert issued(client)["sha256"]["pdf"] is not None
+    preview = f"/api/units/{UNIT}/calibration?revision=1&format="
+    assert client.get(f"{preview}dcc").is_success
+    assert client.get(f"{preview}pdf").is_success
 
 
 def test_the_archive_has_it_byte_for_byte(lab) -> None:

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from support import QUICK, declared, ended, running_service, serving
 
+from calrig.analysis import comparison, comparison_figures
+from calrig.api import compare
+
 POSES = """\
 target_deg,reading_deg,pass,approach,time_s,supply_v
 -30,-29.5,0,1,1.0,3.3
@@ -182,10 +185,10 @@ def test_a_unit_whose_scale_is_not_known_has_no_calibration(shared_client):
 def test_units_are_compared_in_the_order_asked_for(client):
     for unit, bias in (("A", 0.0), ("A", 0.1), ("B", 3.0), ("B", 3.1)):
         upload(client, f"target_deg,reading_deg\n-30,{-30 + bias}\n0,{bias}\n30,{30 + bias}\n", unit)
-    comparison = client.get("/api/compare?unit=B&unit=A").json()
-    assert [unit["unit"] for unit in comparison["units"]] == ["B", "A"]
-    assert [run["bias_deg"] for run in comparison["units"][1]["runs"]] == pytest.approx([0.0, 0.1])
-    spread = comparison["spread"]["bias_deg"]
+    compared = client.get("/api/compare?unit=B&unit=A").json()
+    assert [unit["unit"] for unit in compared["units"]] == ["B", "A"]
+    assert [run["bias_deg"] for run in compared["units"][1]["runs"]] == pytest.approx([0.0, 0.1])
+    spread = compared["spread"]["bias_deg"]
     assert spread["within_unit_std"] == pytest.approx(0.1 / 2**0.5)
     assert spread["between_units_std"] == pytest.approx(3 / 2**0.5, rel=1e-3)
     assert "too few repeated runs" in spread["says"]
@@ -200,6 +203,22 @@ def test_a_run_has_its_pictures(measured, name):
     client, run = measured
     figure = client.get(f"/api/runs/{run['id']}/figures/{name}").json()
     assert len(figure["data"][0]["x"]) >= 3
+
+
+def test_many_units_are_compared_by_another_process(measured, monkeypatch):
+    client, run = measured
+    paths = [
+        "/api/compare",
+        f"/api/compare?unit={run['unit']}",
+        "/api/compare/figures/bias",
+        "/api/compare/figures/residuals",
+    ]
+    here = [client.get(path).raise_for_status().json() for path in paths]
+    monkeypatch.setattr(compare, "FEW_UNITS", 0)
+    for module in (comparison, comparison_figures):
+        monkeypatch.setattr(module, "compared_runs", None)  # of the service's own process
+    assert [client.get(path).raise_for_status().json() for path in paths] == here
+    assert client.get("/api/compare?unit=nobody").status_code == 404
 
 
 @pytest.mark.parametrize("name", ["bias", "scale", "rms", "residuals"])

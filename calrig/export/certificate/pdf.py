@@ -41,9 +41,14 @@ class Attached:
     relationship: str = "data"
 
 
+def has_renderer() -> bool:
+    """Return whether typst, which makes PDFs, is installed."""
+    return find_spec("typst") is not None
+
+
 def require_renderer() -> None:
     """Raise RendererMissingError where typst is not installed."""
-    if find_spec("typst") is None:
+    if not has_renderer():
         raise RendererMissingError(NEEDS)
 
 
