@@ -28,7 +28,7 @@ function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, diff
 /** Buttons for an interrupted run; `ask(verb)` posts resume or abort, `place` is a `placeField`. */
 export function wayOn(run, place, ask) {
   const verbButton = (id, verb, text) => button(text, () => ask(verb), { id });
-  if (run.status === "queued" && run.error) return h("div", { class: "buttons" }, verbButton("go-held", "resume", "Continue"));
+  if (run.status === "queued" && isHeld(run)) return h("div", { class: "buttons" }, verbButton("go-held", "resume", "Continue"));
   if (run.status !== "interrupted") return null;
   return h(
     "section",
@@ -57,6 +57,9 @@ export function wayOn(run, place, ask) {
     ),
   );
 }
+
+/** Whether a queued run waits for a person, and not for its bench, as its reason says. */
+export const isHeld = ({ error }) => /says Go \(resume\)/.test(error ?? "");
 
 /** Whether the position of the run's stage may have to be entered. */
 export function hasNoHoming(run) {
