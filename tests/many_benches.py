@@ -14,7 +14,7 @@ from support import QUICK
 from calrig.centre.service import CentreService
 from calrig.plan import Plan
 from calrig.store import Run, Store
-from calrig.store.bench_tables import BenchCommandTable, BenchTable, RunOrderTable
+from calrig.store.bench_tables import PROTOCOL, BenchCommandTable, BenchTable, RunOrderTable
 from calrig.store.tables import RunTable
 
 HALLS = {"hall 1": 3, "hall 2": 3, "hall 10": 2}
@@ -68,7 +68,7 @@ class ManyBenches:
             now = session.connection().execute(text("SELECT clock_timestamp()")).scalar_one()
             row = session.get_one(BenchTable, bench)
             row.last_seen_at = now - timedelta(seconds=ago_s)
-            row.said = {"rigs": rigs, "outbox": outbox, "lease_losses": 0, **more}
+            row.said = {"rigs": rigs, "outbox": outbox, "lease_losses": 0, "protocol": PROTOCOL, **more}
             session.commit()
 
     def says(self, rig: str, state: str) -> None:
@@ -87,6 +87,13 @@ class ManyBenches:
             poses_total=52,
             waits=True,
         )
+
+    def hold(self, run: Run) -> None:
+        """Its bench holds it back, as one that was away when it was ordered."""
+        order = update(RunOrderTable).where(col(RunOrderTable.run_uid) == run.id)
+        with Session(self._engine) as session:
+            session.execute(order.values(held_epoch=RunOrderTable.epoch))
+            session.commit()
 
     def begin(self, run: Run, poses_done: int = 0, remaining_s: float | None = None, **more: Any) -> None:
         """Its bench takes it, and has come so far with it."""

@@ -1,9 +1,12 @@
 // The rigs as tables, one per hall. Only what has changed is redrawn, so that keyboard focus and pressed buttons
 // survive the updates of forty rigs.
 
+import { remove, serviceError } from "./api.js";
 import { hallOf, inOrder, keyOf } from "./benchfilters.js";
-import { fill, h, headings, rigHref, runHref, runLink, runName, statusPill, unitLink } from "./dom.js";
+import { button, errorLine, fill, h, headings, rigHref, runHref, runLink, runName, statusPill, unitLink } from "./dom.js";
 import { duration, fixed, moment, plural } from "./format.js";
+import { isHeld } from "./interrupted.js";
+import { may } from "./me.js";
 import { stopButton } from "./stop.js";
 
 const COLUMNS = ["Rig", "State", "Run", "Waiting", "Needs attention", "Stop"];
@@ -86,8 +89,8 @@ class BenchHead {
     this.element = h("tbody", { role: "rowgroup" }, h("tr", { role: "row" }, this.cell));
   }
 
-  show({ name, state, silent_since: since, silent_for_s: silent_s, undelivered, rigs }) {
-    const now = JSON.stringify([name, state, since, silent_s, undelivered, rigs.length]);
+  show({ name, state, silent_since: since, silent_for_s: silent_s, undelivered, refused, rigs }) {
+    const now = JSON.stringify([name, state, since, silent_s, undelivered, refused, rigs.length]);
     if (now === this.now) return;
     this.now = now;
     const heard = {
@@ -97,7 +100,8 @@ class BenchHead {
     }[state]();
     const rest = undelivered && `; ${plural(undelivered.parcels, "message")} not delivered yet`;
     const who = h("span", { class: "rig-name" }, name ?? "This machine");
-    fill(this.cell, who, " ", heard, h("span", { class: "muted" }, rest));
+    const why = refused && h("p", { class: "error" }, `Takes no orders: ${refused}.`);
+    fill(this.cell, who, " ", heard, h("span", { class: "muted" }, rest), why);
   }
 }
 
@@ -129,20 +133,23 @@ class RigRow {
 
   /** Returns an event that needs attention, or null. */
   show(rig, bench) {
-    const { run, run_id: id, queued, unresolved, check } = rig;
+    const { run, run_id: id, stop_asked_at, queued, unresolved, check } = rig;
     const kind = kindOf(rig);
     const since = kind === "offline" && ` for ${age(bench.silent_for_s)}`;
     const word = WORDS[kind] ?? kind;
     this.#write("state", [kind, since], () => {
       fill(this.state, h("span", { class: `pill ${kind}` }, word), since && h("span", { class: "muted" }, since));
     });
-    this.#write("run", [run?.id ?? id, run?.unit, run?.status === "queued", kind, run?.waiting_for], () => {
+    this.#write("run", [run?.id ?? id, run?.unit, run?.status === "queued" && !run.error, kind, run?.waiting_for], () => {
       fill(this.run, runWords(rig));
     });
     this.#showProgress(run, kind);
     this.#write("queued", queued.map((one) => one.id), () => fill(this.waiting, queueWords(queued)));
-    this.#write("trouble", [unresolved?.id, unresolved?.status, check?.overdue && check], () => {
-      fill(this.trouble, unresolved && failure(unresolved), check?.overdue && overdue(check, this.name));
+    const held = [run, ...queued].filter((one) => one?.status === "queued" && isHeld(one)).map((one) => one.id);
+    this.#write("trouble", [stop_asked_at, held, unresolved?.id, unresolved?.status, check?.overdue && check], () => {
+      const stop = stop_asked_at && stopWaits(stop_asked_at, this.name);
+      const asks = held.length > 0 && waitsForAPerson(held);
+      fill(this.trouble, stop, asks, unresolved && failure(unresolved), check?.overdue && overdue(check, this.name));
     });
     this.stop.hidden = id === null;
     const needs = unresolved ? `run ${unresolved.status}` : kind in WORDS || kind === "offline" ? word : "";
@@ -193,7 +200,7 @@ function runWords({ run, run_id: id, state }) {
     " ",
     runLink(run.id, "run "),
     run.kind !== "calibration" && ` (${run.kind})`,
-    run.status === "queued" && state !== "offline" && h("span", { class: "muted" }, " about to begin"),
+    run.status === "queued" && !run.error && state !== "offline" && h("span", { class: "muted" }, " about to begin"),
     run.waiting_for && h("p", { class: "wait" }, clamp),
   ];
 }
@@ -210,6 +217,29 @@ function queueWords(queued) {
 function failure({ id, status, error, unit }) {
   const why = error && h("span", { class: "reason" }, error);
   return h("div", {}, statusPill(status), " ", runLink(id, "run "), ` of ${unit} `, why);
+}
+
+/** Runs that the bench holds back since it was away: their pages have the button. */
+function waitsForAPerson(ids) {
+  const links = ids.slice(0, NAMED).map((id, k) => [k > 0 && ", ", runLink(id, "run ")]);
+  return h("div", {}, "Continue or end: ", links, ids.length > NAMED && ` and ${ids.length - NAMED} more`);
+}
+
+/** A stop that the bench has not answered, and the button that withdraws it. */
+function stopWaits(asked_at, name) {
+  const error = errorLine();
+  const ask = async () => {
+    withdraw.disabled = true;
+    try {
+      await remove(`/api/rigs/${encodeURIComponent(name)}/stop`);
+    } catch (problem) {
+      withdraw.disabled = false;
+      error.say(serviceError(problem));
+    }
+  };
+  const withdraw = button("Withdraw stop", ask, { class: "withdraw-stop" });
+  const told = " not answered yet. The bench obeys it before anything else. ";
+  return h("div", { class: "stop-waits" }, "Stop of ", moment(asked_at), told, may("operator") && withdraw, error.element);
 }
 
 function overdue({ unit, due_at: due }, name) {

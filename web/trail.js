@@ -35,6 +35,7 @@ const WORDS = {
   bench_added: "added a bench",
   bench_enrolled: "enrolled as a bench",
   bench_revoked: "revoked a bench",
+  stop_withdrawn: "withdrew a stop",
 };
 
 export async function trailView({ root, query, signal }) {

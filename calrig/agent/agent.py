@@ -3,7 +3,8 @@
 Each link has its own threads. They wait for the network, and hold no lock that a run could need.
 
 Commands: one statement claims a command, and finds none that was withdrawn or is older than `STALE_S` by the
-server's clock. By then the centre has reported that the bench cannot be reached.
+server's clock. By then the centre has reported that the bench cannot be reached. A stop never grows old: its
+rig takes no order until it is answered or withdrawn.
 
 Deliveries: if a receipt is lost, the parcel is delivered again. The centre identifies events by run and
 number, poses by run and index, sample blocks by run and number.
@@ -30,6 +31,7 @@ from calrig.runs.presence import BoardCheck
 from calrig.runs.rig_status import said_of
 from calrig.runs.service import RunService
 from calrig.store import Store, StoreError
+from calrig.store.bench_tables import PROTOCOL
 from calrig.store.convert import iso_utc
 from calrig.store.errors import StoreDamagedError
 from calrig.store.parcels import Parcel
@@ -42,13 +44,22 @@ COMMANDS_LOOK_S = 0.5
 """How often the centre is asked though no notification came."""
 ANSWER_AGAIN_S = 0.25
 LONGEST_ANSWER_S = 60.0
-"""An answer that cannot be sent for so long interests nobody any more."""
+"""An answer that cannot be sent for so long interests nobody any more, unless it is that of a stop."""
 _OLDEST = NOW.replace("clock_timestamp()", f"(clock_timestamp() - interval '{STALE_S} s')")
 _CLAIM = f"""
-UPDATE bench_command SET taken_at = {NOW}
-WHERE bench = %s AND taken_at IS NULL AND withdrawn_at IS NULL AND asked_at >= {_OLDEST}
-RETURNING id, kind, rig, run_uid
+WITH claimed AS (
+    UPDATE bench_command SET taken_at = {NOW}
+    WHERE bench = %s AND taken_at IS NULL AND withdrawn_at IS NULL
+      AND (kind = 'stop' OR asked_at >= {_OLDEST})
+    RETURNING id, kind, rig, run_uid
+)
+SELECT id, kind, rig, run_uid FROM claimed ORDER BY kind <> 'stop', kind <> 'abort', id
 """  # noqa: S608 (no text of anybody's)
+_CLAIM_AGAIN = """
+UPDATE bench_command SET taken_at = NULL
+WHERE bench = %s AND kind = 'stop' AND taken_at IS NOT NULL AND answered_at IS NULL AND withdrawn_at IS NULL
+"""
+"""Stops that an agent took which died before it answered."""
 _ANSWER = f"UPDATE bench_command SET answered_at = {NOW}, answer = %s WHERE id = %s AND bench = %s"  # noqa: S608
 
 
@@ -83,6 +94,7 @@ class Commands:
     ) -> None:
         self._heard, self._answers = heard, answers
         self._service, self._closing, self._look = service, closing, look
+        self._is_new = True
 
     def run(self) -> None:
         """Listens until the agent is closed."""
@@ -95,6 +107,9 @@ class Commands:
 
     def _listen(self, centre: Centre) -> None:
         centre.connection.execute(f"LISTEN {COMMANDS}; LISTEN {ORDERS}")
+        if self._is_new:
+            centre.connection.execute(_CLAIM_AGAIN, (centre.bench,))
+            self._is_new = False
         self._look()  # what was told before was not heard
         while not self._closing.is_set():
             for row in centre.connection.execute(_CLAIM, (centre.bench,)).fetchall():
@@ -112,7 +127,7 @@ class Commands:
     def _work(self, command: Command) -> None:
         answer = json_of(self.answer_to(command))
         give_up_s = time.monotonic() + LONGEST_ANSWER_S
-        while time.monotonic() < give_up_s:
+        while command.kind == "stop" or time.monotonic() < give_up_s:
             try:
                 with self._answers.centre() as centre:
                     centre.connection.execute(_ANSWER, (answer, command.id, centre.bench))
@@ -247,7 +262,17 @@ class Outbox:
 BEAT_S = 2.0
 SEES_S = 0.2
 """How soon what is seen of a unit is told."""
-_BEAT = f"UPDATE bench SET last_seen_at = {NOW}, said = %s WHERE name = %s"  # noqa: S608 (no text of anybody's)
+_BEAT = f"""
+UPDATE bench SET last_seen_at = {NOW}, said = %s WHERE name = %s
+RETURNING to_jsonb(bench) ? 'refused', to_jsonb(bench) ->> 'refused'
+"""  # noqa: S608 (no text of anybody's)
+AWAY = "away"
+TOO_OLD = "the centre is older than this agent: upgrade all processes of the centre, then the agents"
+_HOLD = """
+UPDATE run_order SET held_epoch = epoch
+WHERE bench = %s AND epoch > taken_epoch AND wish IN ('begin', 'resume')
+"""
+"""What was ordered while the bench was away, or went away, waits until somebody orders it anew."""
 
 
 class Heartbeat:
@@ -259,6 +284,7 @@ class Heartbeat:
         service: carries out the runs of the bench.
         closing: ends it.
         renewed: is called once a lost lease is held again.
+        trouble: why the bench takes no orders, None where it does.
     """
 
     def __init__(
@@ -268,10 +294,11 @@ class Heartbeat:
         service: RunService,
         closing: threading.Event,
         renewed: Callable[[], None],
+        trouble: Callable[[], str | None],
     ) -> None:
         self._link, self._lease, self._service = link, lease, service
-        self._closing, self._renewed = closing, renewed
-        self._is_up: bool | None = None
+        self._closing, self._renewed, self._trouble = closing, renewed, trouble
+        self._state: str | None = ""
 
     def run(self) -> None:
         """Beats until the agent is closed."""
@@ -280,22 +307,29 @@ class Heartbeat:
             try:
                 self.beat()
             except (LinkDown, StoreError) as error:
-                self._tell(is_up=False, said=f"the centre cannot be reached: {error}")
+                self._tell(state=AWAY, said=f"the centre cannot be reached: {error}")
             self._lease.is_held()  # a loss is counted when it happens, and not when somebody asks
             self._rest(told)
 
     def beat(self) -> None:
-        """Says how the bench stands.
+        """Says how the bench stands; the centre says whether it takes orders.
 
         Raises:
             LinkDown: nobody answered.
         """
         said = self.said()
-        asked_at_s = self._lease.asked_at_s()
-        with self._link.centre() as centre:
-            centre.connection.execute(_BEAT, (json_of(said), centre.bench))
-        self._tell(is_up=True, said=f"bench {centre.bench} is in touch with its centre")
-        if self._lease.renew(asked_at_s):
+        asked_at_s, is_anew = self._lease.asked_at_s(), not self._lease.is_held()
+        with self._link.centre() as centre, centre.connection.transaction():
+            beat = centre.connection.execute(_BEAT, (json_of(said), centre.bench)).fetchone()
+            judges, refused = beat or (True, None)
+            refused = refused if judges else TOO_OLD
+            if is_anew and refused is None:  # in one: whoever sees the bench back may order what is taken
+                centre.connection.execute(_HOLD, (centre.bench,))
+        if refused is not None:
+            self._tell(state=refused, said=f"bench {centre.bench} takes no orders: {refused}")
+            return
+        self._tell(state=None, said=f"bench {centre.bench} is in touch with its centre")
+        if self._lease.renew(asked_at_s, is_anew=is_anew):
             self._renewed()
 
     def said(self) -> dict[str, Any]:
@@ -313,6 +347,8 @@ class Heartbeat:
             },
             "lease_losses": self._lease.losses,
             "version": calrig.__version__,
+            "protocol": PROTOCOL,
+            "trouble": self._trouble(),
         }
 
     def _rest(self, told: Mapping[str, BoardCheck]) -> None:
@@ -322,11 +358,11 @@ class Heartbeat:
             if self._closing.wait(SEES_S):
                 return
 
-    def _tell(self, *, is_up: bool, said: str) -> None:
-        """Logs what has changed, and not what stays as it is."""
-        if is_up is not self._is_up:
-            log.log(logging.INFO if is_up else logging.WARNING, "%s", said)
-        self._is_up = is_up
+    def _tell(self, *, state: str | None, said: str) -> None:
+        """Logs what has changed, and not what stays as it is; the state is None where all is well."""
+        if state != self._state:
+            log.log(logging.INFO if state is None else logging.WARNING, "%s", said)
+        self._state = state
 
 
 class LinkCounts(Collector):
@@ -378,7 +414,7 @@ class Agent:
         self._links = short, heard, answers, parcels
         rigs = [service.known_rig(state.name) for state in service.rigs()]
         self._orders = [RigOrders(rig, short, self.lease, service, self._closing) for rig in rigs]
-        self._heartbeat = Heartbeat(short, self.lease, service, self._closing, self.look)
+        self._heartbeat = Heartbeat(short, self.lease, service, self._closing, self.look, self._trouble)
         self._outbox = Outbox(parcels, service.store, self._all_is_said)
         commands = Commands(heard, answers, service, self._closing, self.look)
         work = {
@@ -403,6 +439,9 @@ class Agent:
         """There may be orders."""
         for orders in self._orders:
             orders.wake()
+
+    def _trouble(self) -> str | None:
+        return next((one.trouble for one in self._orders if one.trouble is not None), None)
 
     def close(self) -> None:
         """Ends runs and threads; what is left to be said is said where the centre is there to hear it."""

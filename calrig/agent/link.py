@@ -167,20 +167,27 @@ class Lease:
         """The time, to be noted before the centre is asked."""
         return self._now_s()
 
-    def renew(self, asked_at_s: float) -> bool:
-        """The centre answered what was asked then; returns whether the lease was not held before."""
-        was_held = self.is_held()
+    def renew(self, asked_at_s: float, *, is_anew: bool) -> bool:
+        """The centre answered what was asked then; returns whether the lease was not held before.
+
+        It is taken anew only where `is_anew`, of who has held back what was ordered before.
+        """
         with self._lock:
-            self._until_s = asked_at_s + LEASE_S
+            was_held = self._is_held()
+            if was_held or is_anew:
+                self._until_s = asked_at_s + LEASE_S
         return not was_held
 
     def is_held(self) -> bool:
         """Whether orders may be acted on."""
         with self._lock:
-            if self._until_s is None:
-                return False
-            if self._now_s() < self._until_s:
-                return True
-            self._until_s = None
-            self.losses += 1
+            return self._is_held()
+
+    def _is_held(self) -> bool:
+        if self._until_s is None:
             return False
+        if self._now_s() < self._until_s:
+            return True
+        self._until_s = None
+        self.losses += 1
+        return False

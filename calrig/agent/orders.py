@@ -21,16 +21,23 @@ from calrig.store.checksums import unsealed
 from calrig.store.errors import StoreDamagedError, Unreadable
 from calrig.store.records import Document
 
-_PENDING = """
+_NO_STOP = """NOT EXISTS (
+    SELECT FROM bench_command AS stop
+    WHERE stop.bench = run_order.bench AND stop.rig = run_order.rig AND stop.kind = 'stop'
+      AND stop.answered_at IS NULL AND stop.withdrawn_at IS NULL
+)"""
+_PENDING = f"""
 SELECT run_uid, epoch FROM run_order
-WHERE bench = %s AND rig = %s AND epoch > taken_epoch AND wish IN ('begin', 'resume')
+WHERE bench = %s AND rig = %s AND epoch > taken_epoch AND epoch > held_epoch
+  AND wish IN ('begin', 'resume') AND {_NO_STOP}
 ORDER BY ordered_at, run_uid LIMIT 1
-"""
-_TAKE = """
+"""  # noqa: S608 (no text of anybody's)
+_TAKE = f"""
 UPDATE run_order SET taken_epoch = %(epoch)s
 WHERE run_uid = %(run_id)s AND bench = %(bench)s AND epoch = %(epoch)s AND taken_epoch < %(epoch)s
+  AND held_epoch < %(epoch)s AND {_NO_STOP}
 RETURNING wish, document
-"""
+"""  # noqa: S608 (no text of anybody's)
 _TAKEN = """
 SELECT run_uid, epoch FROM run_order
 WHERE bench = %s AND rig = %s AND epoch = taken_epoch AND wish IN ('begin', 'resume')
@@ -46,7 +53,7 @@ class Pending(NamedTuple):
 
 
 def pending_order(centre: Centre, rig: str) -> Pending | None:
-    """The oldest order of a rig that is not taken."""
+    """The oldest order of a rig that is neither taken nor held back."""
     found = centre.connection.execute(_PENDING, (centre.bench, rig)).fetchone()
     return None if found is None else Pending(*found)
 
@@ -98,6 +105,9 @@ class RigOrders:
         lease: without it, nothing is taken.
         service: carries runs out.
         closing: ends it.
+
+    Attributes:
+        trouble: why an order that waits is not taken; None where none waits, or for the rig alone.
     """
 
     def __init__(
@@ -111,6 +121,7 @@ class RigOrders:
         self._wake.set()
         self._look_at_s = 0.0
         self._in_doubt = True  # what became of the last order, before this program began
+        self.trouble: str | None = None
 
     def wake(self) -> None:
         """There may be an order."""
@@ -150,11 +161,25 @@ class RigOrders:
         with self._link.centre() as centre:
             order = pending_order(centre, self._rig.name)
         if order is None:
+            self.trouble = None
+            return
+        self.trouble = self._why_not_written()
+        if self.trouble is not None:
             return
         self._wake.set()  # there may be another one after it, or the rig is busy
         with self._service.crew.keeping(self._rig.name, order.run_id) as is_free:
             if is_free and self._lease.is_held():
                 self._take(order)
+
+    def _why_not_written(self) -> str | None:
+        """Why nothing that a run measures could be kept; None where it could."""
+        try:
+            self._store.spool.require_room()
+        except StoreError as error:
+            if self.trouble is None:
+                log.error("rig %s takes no orders: %s", self._rig.name, error)
+            return f"its spool cannot be written: {error}"
+        return None
 
     def _take(self, order: Pending) -> None:
         with self._link.centre() as centre:

@@ -45,9 +45,11 @@ class BenchWithCode(Membership):
 
 
 class Code(Body):
-    """What an agent joins by."""
+    """What an agent joins by, the protocol that it speaks, and the names of its rigs."""
 
     code: Annotated[str, Field(max_length=200)]
+    protocol: Annotated[int, Field(ge=1, le=10**9)] = 1
+    rigs: list[Annotated[str, Field(max_length=200)]] = Field(default_factory=list, max_length=1000)
 
 
 class Joined(Model):
@@ -96,6 +98,8 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
             host=context.centre.agent_db_host,
             port=context.centre.agent_db_port,
             is_elsewhere=not is_loopback(address),
+            protocol=body.protocol,
+            rigs=body.rigs,
         )
     except WrongCode as error:
         log.warning("wrong code of a bench from %s", address)

@@ -60,6 +60,7 @@ class RigAtAGlance(Model):
     simulated: bool
     state: Literal["idle", "busy", "unreachable", "offline"]
     run_id: str | None
+    stop_asked_at: datetime | None
     run: BriefRunAnswer | None = Field(description="Null also of a run that its bench has not delivered yet.")
     queued: list[BriefRunAnswer] = Field(description="What waits for it, the oldest first.")
     unresolved: BriefRunAnswer | None
@@ -77,7 +78,7 @@ class BenchAtAGlance(Model):
     """A bench and its rigs; this machine where there is no name.
 
     `silent_since` is when it last said something, once that is more than ten seconds ago. `silent_for_s` is
-    how long ago, in steps that grow with it.
+    how long ago, in steps that grow with it. `refused` says why it takes no orders.
     """
 
     name: str | None
@@ -86,6 +87,7 @@ class BenchAtAGlance(Model):
     silent_since: datetime | None
     silent_for_s: float | None
     undelivered: UndeliveredAnswer | None
+    refused: str | None
     rigs: list[RigAtAGlance]
 
 

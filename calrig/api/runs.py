@@ -116,6 +116,21 @@ async def stop(name: str, context: Context, who: Who) -> object:
     return await answer_of(context.service.begin_stop(name, who), f"the stage of rig {name!r}")
 
 
+@router.delete(
+    "/api/rigs/{name}/stop",
+    dependencies=[requires("operator")],
+    status_code=204,
+    responses=problems(404),
+    summary="Withdraw a stop that its bench has not answered",
+)
+def withdraw_stop(name: str, context: Context, who: Who) -> None:
+    """A stop that cannot be delivered stays: the bench obeys it before anything else when it is back.
+
+    404 where none waits, as on a rig of the service's own machine.
+    """
+    context.store.commands.withdraw_stop(name, who=who)
+
+
 @router.post(
     "/api/runs",
     dependencies=[requires("operator")],

@@ -41,6 +41,11 @@ class BenchRig:
     said: dict[str, Any]
 
     @property
+    def key(self) -> tuple[str, str]:
+        """Names of bench and rig."""
+        return self.bench.name, self.settings.name
+
+    @property
     def is_offline(self) -> bool:
         """Whether its bench has not been seen lately."""
         return self.bench.seen_ago_s is None or self.bench.seen_ago_s > OFFLINE_S
@@ -53,7 +58,7 @@ class BenchRig:
         except ValidationError:
             return None
 
-    def state(self, run_id: str | None) -> RigState:
+    def state(self, run_id: str | None, stop_asked_at: datetime | None) -> RigState:
         """As `GET /api/rigs` shows it; `run_id` is the unfinished run that the centre knows on it."""
         said_run = self.said.get("run_id") if self.said.get("state") == "busy" else None
         on_it = run_id or (said_run if isinstance(said_run, str) else None)
@@ -67,6 +72,7 @@ class BenchRig:
             bench=self.bench.name,
             hall=self.bench.hall,
             last_seen_at=self.bench.last_seen_at,
+            stop_asked_at=stop_asked_at,
         )
 
     def _state(self, *, is_busy: bool) -> RigWork:
@@ -90,8 +96,8 @@ class BenchRigs:
 
     def states(self) -> list[RigState]:
         """How each stands."""
-        busy = self._store.orders.busy_rigs()
-        return [rig.state(busy.get((rig.bench.name, rig.settings.name))) for rig in self.all()]
+        busy, stops = self._store.orders.busy_rigs(), self._store.commands.unobeyed()
+        return [rig.state(busy.get(rig.key), stops.get(rig.key)) for rig in self.all()]
 
     def looks(self) -> dict[str, BoardCheck]:
         """What was seen of the units on rigs that are looked at, by name."""
@@ -104,15 +110,24 @@ class BenchRigs:
             Unknown: no bench has such a rig.
             Conflict: several have.
         """
+        found = self.named(name)
+        if len(found) > 1:
+            benches = ", ".join(rig.bench.name for rig in found)
+            raise Conflict(f"benches {benches} each have a rig {name!r}: give their rigs names of their own")
+        return found[0]
+
+    def named(self, name: str | None) -> list[BenchRig]:
+        """The rigs of a name, one unless benches were set up wrongly; the first one without.
+
+        Raises:
+            Unknown: no bench has such a rig.
+        """
         rigs = self.all()
         found = rigs[:1] if name is None else [rig for rig in rigs if rig.settings.name == name]
         if not found:
             known = ", ".join(sorted({rig.settings.name for rig in rigs})) or "none, for no bench has joined"
             raise Unknown(f"no bench has a rig {name!r}; there are: {known}")
-        if len(found) > 1:
-            benches = ", ".join(rig.bench.name for rig in found)
-            raise Conflict(f"benches {benches} each have a rig {name!r}: give their rigs names of their own")
-        return found[0]
+        return found
 
     def releases(self) -> Releases:
         """Who puts drafts in force, as the benches' configurations say."""
@@ -189,7 +204,7 @@ class BenchCounts(Collector):
             )
         except StoreError:
             return
-        yield from _orders([(rig.bench.name, rig.settings.name) for rig in rigs], backlog)
+        yield from _orders([rig.key for rig in rigs], backlog)
         yield from _deliveries([bench.name for bench in benches], backlog)
         yield GaugeMetricFamily(
             "calrig_runs_stuck", "Runs with a delivery that cannot be unpacked.", len(self._stuck())
@@ -287,6 +302,7 @@ _HERE: Document = {
     "silent_since": None,
     "silent_for_s": None,
     "undelivered": None,
+    "refused": None,
 }
 
 
@@ -301,6 +317,7 @@ def _bench(bench: Bench) -> Document:
         "silent_since": bench.last_seen_at if is_silent else None,
         "silent_for_s": _coarse(ago_s) if ago_s is not None and is_silent else None,
         "undelivered": outbox.model_dump() if outbox is not None and outbox.parcels else None,
+        "refused": bench.refused,
     }
 
 

@@ -15,7 +15,7 @@ from functools import partial
 from types import MappingProxyType
 
 from calrig.analysis.calibration_in_force import active_calibration
-from calrig.analysis.errors import Conflict, Unknown
+from calrig.analysis.errors import Conflict, RunsError, Unknown
 from calrig.analysis.imports import check_serial
 from calrig.analysis.results import ending_of, fitted, gyro_of
 from calrig.analysis.revisions import Fitted, Issuer
@@ -48,6 +48,8 @@ ANSWER_S = 3.0
 ANSWER_POLL_S = 0.5
 """How often it is looked for though nobody said that it has come."""
 CUT = {"stop", "abort"}
+STANDS = "that the stage stands"
+STAYS = "; the stop stays: the bench obeys it before anything else, unless somebody withdraws it"
 
 
 class Asking:
@@ -79,11 +81,15 @@ class Asking:
                 self._told.wait_for(lambda: str(command) in self._answered, min(ANSWER_POLL_S, left_s))
                 self._answered.clear()
             answer = self._store.commands.answer(command)
-        if answer is None and self._store.commands.withdraw(command):
+        if answer is None and kind != "stop" and self._store.commands.withdraw(command):
             raise Conflict(f"bench {bench.name} {seen(bench)} and cannot be told{_advice(kind)}")
         answer = answer or self._store.commands.answer(command)
+        if answer is None and kind == "stop":
+            raise Conflict(
+                f"bench {bench.name} {seen(bench)} and has not said {STANDS}{_advice(kind)}{STAYS}"
+            )
         if answer is None:
-            what = "that the stage stands" if kind in CUT else "what came of it"
+            what = STANDS if kind in CUT else "what came of it"
             raise Conflict(f"bench {bench.name} has the {kind} and has not said {what}{_advice(kind)}")
         if answer.get("status") != 200:
             said = str(answer.get("detail") or f"bench {bench.name} did not say why")
@@ -166,6 +172,7 @@ class Unpacker:
             self._kept = Kept()
             self._store.orders.settle_withdrawn()
             self._store.commands.prune()
+        self._store.orders.settle_waiting()
         if not self._store.parcels.are_waiting(self._kept):
             return False
         self._kept = self._store.parcels.unpack(self._conclude, self._kept)
@@ -292,6 +299,10 @@ class CentreService:
         if on.is_offline and not waits:
             said = f"rig {on.settings.name!r}: bench {on.bench.name} {seen(on.bench)}"
             raise Conflict(f'{said}: ask with "queue": true to wait until it is there')
+        if on.bench.refused is not None and not waits:
+            raise Conflict(
+                f"rig {on.settings.name!r}: bench {on.bench.name} takes no orders: {on.bench.refused}"
+            )
         return self.store.orders.create(
             bench=on.bench.name,
             rig=on.settings.name,
@@ -332,14 +343,19 @@ class CentreService:
         run = self.run(run_id)
         if run.status in TERMINAL:
             raise Conflict(f"run {run_id} is {run.status} and cannot be aborted")
-        if self.store.orders.withdraw(run_id) and (run := self.run(run_id)).status in TERMINAL:
-            return run  # no bench had begun it
+        self.store.orders.withdraw(run_id)
         order = self.store.orders.of(run_id)
         if order is None:
             return self._abort_of_nobody(run)
+        if order.taken_epoch == 0:  # no bench had begun it
+            self.store.orders.settle_withdrawn(None)
+            return self.run(run_id)
         if order.is_revoked:
             return self.store.orders.end_orphan(run_id)
-        self._ask(order.bench, "abort", run_uid=run_id)
+        try:
+            self._ask(order.bench, "abort", run_uid=run_id)
+        finally:
+            self._settle_withdrawn(None)
         return self.wait(run_id, ENDS_S)
 
     def _abort_of_nobody(self, run: Run) -> Run:
@@ -347,11 +363,11 @@ class CentreService:
         return self.store.runs.update(run.id, status="aborted")
 
     def stop(self, rig_name: str) -> RigState:
-        """Has a rig's bench stop its stage now, whatever runs; what waits to begin there is aborted.
+        """Has every bench with such a rig stop its stage now, whatever runs; what waits there is aborted.
 
         Raises:
             Unknown: there is no such rig.
-            Conflict: the bench cannot be told, or the stage is not known to stand.
+            Conflict: a bench cannot be told, or a stage is not known to stand.
         """
         return self.begin_stop(rig_name).result()
 
@@ -359,6 +375,7 @@ class CentreService:
         """As `stop`, in a thread of its own, which all share who ask for it meanwhile."""
         return self._errands.share(("stop", rig_name), self._clock, partial(self._stop, rig_name, who))
 
+<<<<<<< HEAD
     def _stop(self, rig_name: str, who: str | None) -> RigState:
         rig = self._rigs.known(rig_name)
         try:
@@ -380,6 +397,45 @@ class CentreService:
         except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
             log.error("rig %s: runs that its stop aborted are not in the audit trail: %s", rig_name, error)
             return []
+=======
+    def _stop(self, rig_name: str) -> RigState:
+        benches = [rig.bench for rig in self._rigs.named(rig_name)]
+        try:
+            self._stop_on(benches, rig_name)
+        finally:
+            self._settle_withdrawn(BY_REQUEST.reason)
+        return next(state for state in self.rigs() if state.name == rig_name)
+
+    def _stop_on(self, benches: Sequence[Bench], rig_name: str) -> None:
+        """Has every bench with a rig of that name stop it, side by side; waits for all of them."""
+        told = [
+            self._errands.share(
+                ("stop", rig_name, bench.name),
+                self._clock,
+                partial(self._asking.ask, bench, "stop", rig=rig_name),
+            )
+            for bench in benches
+        ]
+        said: dict[str, str] = {}
+        failures = []
+        for bench, one in zip(benches, told, strict=True):
+            try:
+                one.result()
+                said[bench.name] = "the stage stands"
+            except (RunsError, StoreError) as error:
+                said[bench.name] = str(error)
+                failures.append(error)
+        if len(benches) == 1 and failures:
+            raise failures[0]
+        if failures:
+            raise Conflict("; ".join(f"bench {name}: {what}" for name, what in said.items()))
+
+    def _settle_withdrawn(self, reason: str | None) -> None:
+        try:
+            self.store.orders.settle_withdrawn(reason)
+        except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
+            log.error("runs that waited are not told of as aborted yet: %s", error)
+>>>>>>> i31core
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:  # noqa: ARG002
         """Turns nothing: whoever does that stands at the bench, and has its page there."""
@@ -402,19 +458,26 @@ class CentreService:
         """Has the run hold after the pose in hand."""
         return self._entered("paused", self._ask_of_run(run_id, "pause", "paused"), who)
 
+<<<<<<< HEAD
     def resume(self, run_id: str, stage_at_deg: float | None = None, who: str | None = None) -> Run:
         """Has a paused run go on; orders the bench of an interrupted one to take it up again.
+=======
+    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
+        """Has a paused run go on, or one that its bench holds back; has an interrupted one taken up again.
+>>>>>>> i31core
 
         `stage_at_deg` as of `RunService.resume`.
 
         Raises:
             Unknown: there is no such run.
             Invalid: its stage has homing, and an elevation was given.
-            Conflict: it is neither paused nor interrupted, or its bench is away.
+            Conflict: it is neither paused, held back nor interrupted, or its bench is away.
             Refused: its rig is busy.
         """
         run = self.run(run_id)
         check_stage_at(run, stage_at_deg)
+        if run.status == "queued" and self.store.orders.go(run_id):
+            return self.run(run_id)
         if run.status != "interrupted":
             return self._entered("resumed", self._ask_of_run(run_id, "resume", "resumed"), who)
         order = self.store.orders.of(run_id)

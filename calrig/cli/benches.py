@@ -14,7 +14,7 @@ from urllib.parse import quote, urlsplit
 import typer
 
 from calrig.cli.exit_status import Listed
-from calrig.cli.options import Db, Json, Server
+from calrig.cli.options import Config, Db, Json, Server
 from calrig.cli.running_service import client_at
 from calrig.errors import InputError, WorkError
 
@@ -104,6 +104,7 @@ def enroll(
         Path | None,
         typer.Option(metavar="FILE", help="Certificates to believe, of the service and of the database."),
     ] = None,
+    config: Config = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Where to keep the URL; else where `calrig agent` looks for it."),
@@ -112,13 +113,16 @@ def enroll(
     """Join a centre, and keep the URL of its database, which has this bench's password, in a file."""
     from calrig.client import Client
     from calrig.client.transport import part
-    from calrig.settings import centre_url_file
+    from calrig.settings import centre_url_file, load_settings
+    from calrig.store.bench_tables import PROTOCOL
 
     _require_private(centre)
+    settings = load_settings(config)
+    rigs = [] if settings.file is None else [rig.name for rig in settings.rig]
     service = Client(centre, None if ca is None else _believed(ca))
     path = out or centre_url_file()
     with _secret(path) as file:  # which can be written: the code is not spent for nothing
-        joined = service.post("/api/benches/enroll", {"code": code})
+        joined = service.post("/api/benches/enroll", {"code": code, "protocol": PROTOCOL, "rigs": rigs})
         file.write(checked_by(part(joined, "db"), ca) + "\n")
     typer.echo(f"this is bench {part(joined, 'bench')} now; the URL of the centre's database is in {path}")
 

@@ -16,6 +16,7 @@ class RigState(Model):
     """A rig and what it is doing; `stage`, `imu` and `clamp` are its drivers, null where hands turn the unit.
 
     At a centre with the bench that has it; `offline`, with the last known state, once the bench is silent.
+    `stop_asked_at` is since when a stop waits that the bench has not answered.
     """
 
     name: str
@@ -28,6 +29,7 @@ class RigState(Model):
     hall: str | None = None
     last_seen_at: datetime | None = None
     clamp: str | None = None
+    stop_asked_at: datetime | None = None
 
 
 class JobState(Model):
@@ -58,7 +60,10 @@ class KnownUser(Model):
 
 
 class Membership(Model):
-    """A bench that may join, has joined or was revoked; times are null until then."""
+    """A bench that may join, has joined or was revoked; times are null until then.
+
+    `refused` says why it takes no orders: its version, another bench's rig of the same name, a full disk.
+    """
 
     name: str
     hall: str | None
@@ -68,3 +73,4 @@ class Membership(Model):
     enrolled_at: datetime | None
     revoked_at: datetime | None
     last_seen_at: datetime | None
+    refused: str | None = None

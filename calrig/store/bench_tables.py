@@ -18,9 +18,18 @@ from calrig.store.tables import Sha256, UtcText
 BENCH_NAME = re.compile(r"[A-Za-z0-9_.-]{1,20}")
 """Of a bench, which is part of its role's name: PostgreSQL keeps 63 bytes of one."""
 
+PROTOCOL = 2
+"""Of what bench and centre say to each other through the database. It changes where either side would
+misunderstand the other; 1 is that of versions which did not tell.
+"""
+
 
 class BenchTable(SQLModel, table=True):
-    """A bench that has joined: its database role, and what it last said of itself."""
+    """A bench that has joined: its database role, and what it last said of itself.
+
+    The database judges each report: `refused` is why it takes no orders, null where it does; `bears` are the
+    names of its rigs (JSON), null where another bench has one of them.
+    """
 
     __tablename__ = "bench"
 
@@ -33,10 +42,15 @@ class BenchTable(SQLModel, table=True):
     revoked_at: datetime | None = Field(default=None, sa_type=UtcText)
     last_seen_at: datetime | None = Field(default=None, sa_type=UtcText)
     said: dict[str, Any] = Field(sa_type=CheckedJson)
+    bears: str | None = None
+    refused: str | None = None
 
 
 class RunOrderTable(SQLModel, table=True):
-    """What a bench is to do with a run: only the newest epoch counts, and only what is newer than taken."""
+    """What a bench is to do with a run: only the newest epoch counts, and only what is newer than taken.
+
+    An epoch that is not newer than `held_epoch` waits for a person's word, who orders it anew.
+    """
 
     __tablename__ = "run_order"
     __table_args__ = (Index("ix_run_order_bench", "bench"),)
@@ -48,11 +62,15 @@ class RunOrderTable(SQLModel, table=True):
     wish: str
     document: dict[str, Any] = Field(sa_type=CheckedJson)
     taken_epoch: int = 0
+    held_epoch: int = 0
     ordered_at: datetime = Field(sa_type=UtcText)
 
 
 class BenchCommandTable(SQLModel, table=True):
-    """Stop, abort, pause or resume, asked of a bench while somebody waits for the answer; or a look."""
+    """Stop, abort, pause or resume, asked of a bench while somebody waits for the answer; or a look.
+
+    A stop stays until the bench has answered it or somebody withdraws it, the others for seconds.
+    """
 
     __tablename__ = "bench_command"
     __table_args__ = (Index("ix_bench_command_bench", "bench"),)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal, NamedTuple
 
-from sqlalchemy import and_, delete, text, update
+from sqlalchemy import and_, delete, not_, text, update
 from sqlmodel import Session, col, func, select
 
 from calrig.model.run import UNFINISHED
@@ -20,7 +20,7 @@ from calrig.store import event_log, trail
 from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
 from calrig.store.convert import run_of, run_row
 from calrig.store.database import Repository
-from calrig.store.errors import Refused
+from calrig.store.errors import NotFound, Refused
 from calrig.store.records import Document, Run
 from calrig.store.runs import change, first_progress, new_row
 from calrig.store.tables import EventTable, RunTable
@@ -29,17 +29,27 @@ from calrig.store.trail import Act
 NOT_BEGUN = "taken back before its bench had begun it"
 NOT_TAKEN = and_(col(RunOrderTable.taken_epoch) < col(RunOrderTable.epoch), col(RunOrderTable.wish) != "none")
 """Of an order that its bench may still take."""
+IS_HELD = and_(NOT_TAKEN, col(RunOrderTable.held_epoch) >= col(RunOrderTable.epoch))
+"""Of an order that its bench takes once somebody has ordered it anew."""
+HELD = (
+    "the bench was started anew, or lost its centre, while this run waited: it begins once somebody says Go "
+    "(resume)"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """A bench that has not been revoked; `seen_ago_s` by the database's clock, None before it was seen."""
+    """A bench that has not been revoked; `seen_ago_s` by the database's clock, None before it was seen.
+
+    `refused` says why it takes no orders, None where it does.
+    """
 
     name: str
     hall: str | None
     last_seen_at: datetime | None
     seen_ago_s: float | None
     said: Document
+    refused: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,16 +110,15 @@ def now_there(session: Session) -> datetime:
     return now
 
 
-def take_back(session: Session, *which: Any) -> bool:
-    """Takes those orders back that are not taken yet; returns whether there were any."""
+def take_back(session: Session, *which: Any) -> None:
+    """Takes those orders back that are not taken yet."""
     withdrawn = (
         update(RunOrderTable)
         .where(NOT_TAKEN, *which)
         .values(epoch=RunOrderTable.epoch + 1, wish="none")
-        .returning(col(RunOrderTable.run_uid))
         .execution_options(synchronize_session=False)
     )
-    return bool(session.execute(withdrawn).all())
+    session.execute(withdrawn)
 
 
 def _withdrawn() -> Any:
@@ -119,6 +128,28 @@ def _withdrawn() -> Any:
         .join(RunOrderTable, col(RunOrderTable.run_uid) == col(RunTable.uid))
         .where(RunTable.status == "queued", RunOrderTable.wish == "none")
     )
+
+
+def _kept_waiting(session: Session) -> list[tuple[RunTable, str | None]]:
+    """Queued runs whose order is not taken, and why: a person's word, or the bench; None for its turn."""
+    wanted = (
+        select(RunTable, RunOrderTable, BenchTable)
+        .join(RunOrderTable, col(RunOrderTable.run_uid) == col(RunTable.uid))
+        .join(BenchTable, col(BenchTable.name) == col(RunOrderTable.bench))
+        .where(RunTable.status == "queued", NOT_TAKEN)
+    )
+    found = []
+    for run, order, bench in session.exec(wanted):
+        why = refusal(bench)
+        said = None if why is None else f"bench {bench.name} takes no orders: {why}"
+        found.append((run, HELD if order.held_epoch >= order.epoch else said))
+    return found
+
+
+def refusal(bench: BenchTable) -> str | None:
+    """Why a bench takes no orders, as the database judges it or the bench says; None where it does."""
+    trouble = bench.said.get("trouble")
+    return bench.refused or (trouble if isinstance(trouble, str) else None)
 
 
 def _settle(session: Session, error: str | None) -> None:
@@ -156,7 +187,7 @@ def _unfinished() -> Any:
 def _bench(row: BenchTable, now: datetime) -> Bench:
     seen = row.last_seen_at
     ago_s = None if seen is None else (now - seen).total_seconds()
-    return Bench(row.name, row.hall, seen, ago_s, row.said)
+    return Bench(row.name, row.hall, seen, ago_s, row.said, refusal(row))
 
 
 RECENT = timedelta(hours=1)
@@ -303,24 +334,45 @@ class Orders(Repository):
                 row.run_uid, row.bench, row.rig, row.epoch, row.wish, row.taken_epoch, revoked_at is not None
             )
 
-    def withdraw(self, run_id: str) -> bool:
-        """Takes an order back that its bench has not taken; returns whether there was one.
+    def withdraw(self, run_id: str) -> None:
+        """Takes an order back that its bench has not taken, and waits for no other writer."""
+        with self._database.writing(in_turn=False) as session:
+            take_back(session, col(RunOrderTable.run_uid) == run_id)
+
+    def settle_withdrawn(self, error: str | None = NOT_BEGUN) -> None:
+        """Says of the runs whose order was taken back what became of them, where nobody has yet.
 
         A run that was never begun is `aborted`, one that was to be resumed `interrupted` as before.
         """
-        with self._database.writing() as session:
-            if not take_back(session, col(RunOrderTable.run_uid) == run_id):
-                return False
-            _settle(session, None)
-            return True
-
-    def settle_withdrawn(self, error: str | None = NOT_BEGUN) -> None:
-        """Says of the runs whose order was taken back what became of them, where nobody has yet."""
         with self._database.reading() as session:
             if session.exec(_withdrawn().limit(1)).first() is None:
                 return  # nobody waits for a turn to write nothing
         with self._database.writing() as session:
             _settle(session, error)
+
+    def go(self, run_id: str) -> bool:
+        """Orders a run anew that its bench holds back; returns whether it was held."""
+        anew = (
+            update(RunOrderTable)
+            .where(IS_HELD, col(RunOrderTable.run_uid) == run_id)
+            .values(epoch=RunOrderTable.epoch + 1, ordered_at=datetime.now(UTC))
+            .returning(col(RunOrderTable.run_uid))
+            .execution_options(synchronize_session=False)
+        )
+        with self._database.writing() as session:
+            if session.execute(anew).first() is None:
+                return False
+            run_row(session, run_id).error = None
+            return True
+
+    def settle_waiting(self) -> None:
+        """Says of the runs that wait for a bench what keeps it from taking them, where nobody has yet."""
+        with self._database.reading() as session:
+            if not any(row.error != why for row, why in _kept_waiting(session)):
+                return
+        with self._database.writing() as session:
+            for row, why in _kept_waiting(session):
+                row.error = why
 
     def end_orphan(self, run_id: str) -> Run:
         """Aborts a run whose bench was revoked: it says nothing more of it."""
@@ -342,6 +394,12 @@ def _waiting(number: int, oldest_at: datetime, now: datetime) -> Waiting:
 
 
 Kind = Literal["stop", "abort", "pause", "resume", "look"]
+UNOBEYED = and_(
+    col(BenchCommandTable.kind) == "stop",
+    col(BenchCommandTable.answered_at).is_(None),
+    col(BenchCommandTable.withdrawn_at).is_(None),
+)
+"""Of a stop that its bench is still to obey, however old it is."""
 
 
 class Commands(Repository):
@@ -380,6 +438,33 @@ class Commands(Repository):
             row = session.get(BenchCommandTable, command)
             return None if row is None or row.answered_at is None else row.answer or {}
 
+    def unobeyed(self) -> dict[tuple[str, str], datetime]:
+        """Since when a stop has been asked for that the bench has not answered, by bench and rig."""
+        of_rig = BenchCommandTable.bench, BenchCommandTable.rig
+        wanted = select(*of_rig, func.min(BenchCommandTable.asked_at)).where(UNOBEYED)
+        with self._database.reading() as session:
+            found = session.exec(wanted.group_by(*map(col, of_rig))).all()
+        return {(bench, rig): at for bench, rig, at in found if rig is not None}
+
+    def withdraw_stop(self, rig: str, *, who: str | None = None) -> None:
+        """Takes back what is to stop a rig of that name and was not answered, on every bench that has one.
+
+        Raises:
+            NotFound: there is no such stop.
+        """
+        withdrawn = update(BenchCommandTable).where(UNOBEYED, col(BenchCommandTable.rig) == rig)
+        benches = withdrawn.returning(col(BenchCommandTable.bench)).execution_options(
+            synchronize_session=False
+        )
+        with self._database.writing() as session:
+            now = now_there(session)
+            found = session.execute(benches.values(withdrawn_at=now)).scalars().all()
+            if not found:
+                raise NotFound(f"no stop waits for a bench with rig {rig!r}")
+            trail.append(
+                session, Act("stop_withdrawn", who=who, rig=rig, detail={"benches": sorted({*found})}), now
+            )
+
     def withdraw(self, command: int) -> bool:
         """Takes a command back that its bench has not taken; returns whether it did."""
         withdrawn = (
@@ -400,4 +485,4 @@ class Commands(Repository):
         """Deletes those that are over for a day: the trail and the runs tell what came of them."""
         with self._database.writing(in_turn=False) as session:
             old = col(BenchCommandTable.asked_at) < now_there(session) - KEPT
-            session.execute(delete(BenchCommandTable).where(old))
+            session.execute(delete(BenchCommandTable).where(old, not_(UNOBEYED)))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import secrets
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 
-from sqlmodel import Session, select
+from sqlmodel import Session, col, select
 
 from calrig.model.service import Membership
-from calrig.store.bench_tables import BENCH_NAME, BenchTable
+from calrig.store.bench_tables import BENCH_NAME, PROTOCOL, BenchTable
+from calrig.store.benches import refusal
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused
 from calrig.store.trail import Act, append
@@ -29,7 +32,7 @@ class Enrolment(Repository):
         """Every bench by name, those that were revoked as well."""
         with self._database.reading() as session:
             return [
-                Membership.model_validate(row)
+                Membership.model_validate(row).model_copy(update={"refused": refusal(row)})
                 for row in session.exec(select(BenchTable).order_by(BenchTable.name))
             ]
 
@@ -68,6 +71,8 @@ class Enrolment(Repository):
         host: str | None = None,
         port: int | None = None,
         is_elsewhere: bool = False,
+        protocol: int = PROTOCOL,
+        rigs: Sequence[str] = (),
         now: datetime | None = None,
     ) -> tuple[str, str]:
         """Has the bench of a code join: its role is made, or let in again with a new password.
@@ -79,6 +84,8 @@ class Enrolment(Repository):
             host: by which agents reach the database's server; None where the centre's does.
             port: likewise.
             is_elsewhere: whether the agent runs on another machine than the centre.
+            protocol: that the agent speaks.
+            rigs: names of the agent's rigs, as far as they are configured by now.
             now: the time; None takes the clock's.
 
         Returns:
@@ -86,7 +93,8 @@ class Enrolment(Repository):
 
         Raises:
             WrongCode: nobody may join by it, or not any more.
-            Refused: the database cannot be reached from where the agent is.
+            Refused: the database cannot be reached from where the agent is; its version is not the centre's;
+                or another bench has a rig of the same name. The code can be used again.
         """
         now = now or datetime.now(UTC)
         with self._database.writing() as session:
@@ -98,8 +106,10 @@ class Enrolment(Repository):
                     "no bench may join by this code: it is wrong, was used, or is older than a day; an admin "
                     "makes another one with `calrig bench add NAME`"
                 )
+            _require_understood(protocol)
+            _require_own_names(session, row.name, rigs)
             url = _let_in(session, row, host, port, is_elsewhere=is_elsewhere)
-            row.code_sha256 = row.code_until = row.revoked_at = None
+            row.code_sha256 = row.code_until = row.revoked_at = row.bears = row.refused = None
             row.enrolled_at = now
             append(session, Act("bench_enrolled", detail={"bench": row.name}), now)
             return row.name, url
@@ -144,6 +154,25 @@ def _let_in(
             "database's server as `agent_db_host` under [centre] in the centre's calrig.toml"
         )
     return url.render_as_string(hide_password=False)
+
+
+def _require_understood(protocol: int) -> None:
+    if protocol != PROTOCOL:
+        old, who = ("old", "the bench") if protocol < PROTOCOL else ("new", "the centre")
+        raise Refused(
+            f"the calrig of this bench is too {old} for the centre (protocol {protocol} instead of "
+            f"{PROTOCOL}): upgrade {who} first"
+        )
+
+
+def _require_own_names(session: Session, name: str, rigs: Sequence[str]) -> None:
+    wanted = select(BenchTable).where(col(BenchTable.name) != name, col(BenchTable.revoked_at).is_(None))
+    for other in session.exec(wanted.order_by(BenchTable.name)):
+        if twins := sorted({*rigs} & {*json.loads(other.bears or "[]")}):
+            raise Refused(
+                f"bench {other.name} has a rig {twins[0]!r} already: give the rigs names of their own in "
+                f"calrig.toml, or revoke bench {other.name} first"
+            )
 
 
 def _require_centre(session: Session) -> None:

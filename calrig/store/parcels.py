@@ -315,6 +315,10 @@ class _Wrapping:
         return {row.port: zlib.decompress(row.data).decode() for row in self._session.exec(wanted)}
 
 
+ROOM_BYTES = 1_000_000
+"""What a bench must be able to write before it takes an order."""
+
+
 class TakenOrder(NamedTuple):
     """The newest epoch of a run that the bench has acted on, and what was ordered."""
 
@@ -343,6 +347,17 @@ class Spool(Repository):
         """Keeps that an order is being acted on."""
         with self._database.writing() as session:
             session.merge(TakenOrderTable(run_uid=run_id, epoch=epoch, document=document))
+
+    def require_room(self) -> None:
+        """Writes as much as a run's beginning takes, and removes it again.
+
+        Raises:
+            StoreError: it cannot be written, and why.
+        """
+        with self._database.writing() as session:
+            session.merge(TakenOrderTable(run_uid="", epoch=0, document={"room": "0" * ROOM_BYTES}))
+        with self._database.writing() as session:
+            session.delete(session.get_one(TakenOrderTable, ""))
 
     def taken_order(self, run_id: str) -> TakenOrder | None:
         """The newest order of a run that was acted on; None of a run that was begun here."""

@@ -23,7 +23,7 @@ What = Literal[
     "accepted", "taken_back", "mended", "drafted", "released", "withdrawn", "certificate_issued",
     "limits_changed", "check_unit_changed", "item_changed", "map_put_in_force", "map_withdrawn",
     "user_added", "user_changed", "unit_removed",
-    "bench_added", "bench_enrolled", "bench_revoked",
+    "bench_added", "bench_enrolled", "bench_revoked", "stop_withdrawn",
 ]  # fmt: skip
 
 FIRST = "0" * 64

@@ -61,8 +61,10 @@ class Rig:
 
 
 @contextmanager
-def agent_at(url: str, spool: Path, *rigs: Rig, now_s: Callable[[], float] | None = None) -> Iterator[Agent]:
-    """An agent at work, as `calrig agent` makes it."""
+def agent_at(
+    url: str, spool: Path, *rigs: Rig, now_s: Callable[[], float] | None = None, is_accepted: bool = True
+) -> Iterator[Agent]:
+    """An agent at work, as `calrig agent` makes it, once it takes orders of its centre, if it is to."""
     lay_empty_store(spool)
     with (
         Store.open(f"sqlite:///{spool}", writer="tests") as store,
@@ -70,6 +72,8 @@ def agent_at(url: str, spool: Path, *rigs: Rig, now_s: Callable[[], float] | Non
         closing(Agent(service, libpq(url), *(() if now_s is None else (now_s,)))) as agent,
     ):
         agent.start()
+        if is_accepted:
+            wait_for(agent.lease.is_held, "lease")
         yield agent
 
 
@@ -113,6 +117,15 @@ class HandWritten:
         )
         return run_id
 
+    def held_epoch(self, run_id: str) -> int:
+        """The newest epoch that the bench holds back until somebody orders the run anew."""
+        return self._one("SELECT held_epoch FROM run_order WHERE run_uid = %s", run_id)
+
+    def in_touch(self) -> None:
+        """Waits until a bench that was begun just now takes orders: what was ordered before it holds back."""
+        before = self.order(rig="bench-9")
+        wait_for(lambda: self.held_epoch(before), "bench")
+
     def tell(self) -> None:
         """Says to the bench that there may be an order."""
         self.connection.execute("SELECT pg_notify(%s, %s)", (ORDERS, BENCH))
@@ -140,6 +153,10 @@ class HandWritten:
     def answer(self, command: int) -> dict[str, Any] | None:
         """What the bench answered."""
         return self._one("SELECT answer FROM bench_command WHERE id = %s", command)
+
+    def answered_at(self, command: int) -> str:
+        """When the bench answered it."""
+        return self._one("SELECT answered_at FROM bench_command WHERE id = %s", command)
 
     def taken_at(self, command: int) -> str | None:
         """When the bench took a command."""

@@ -28,8 +28,8 @@ def again_from(before: Delivery) -> set[int]:
 def test_cut_off_in_mid_run_the_bench_ends_it_and_goes_on_delivering_where_it_was(
     centre: HandWritten, rig: Rig, spool: Path, cable: Cable
 ) -> None:
-    run_id = centre.order(plan={**QUICK, "sweeps": 30})
     with agent_at(cable.url, spool, rig) as agent:
+        run_id = centre.order(plan={**QUICK, "sweeps": 30})
         wait_for(lambda: centre.delivered(run_id).poses, "poses")
         cable.cut()
         assert agent.service.wait(run_id).status == "completed"
@@ -53,8 +53,8 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_goes_on_delivering_where_it_wa
 def test_a_server_that_throws_the_bench_out_meets_it_again(
     centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
-    run_id = centre.order(plan=ENDLESS)
     with agent_at(centre.bench_url, spool, rig) as agent:
+        run_id = centre.order(plan=ENDLESS)
         for _ in range(3):
             seen = len(centre.delivered(run_id).events)
             centre.connection.execute(
@@ -95,8 +95,8 @@ def test_a_parcel_whose_receipt_was_lost_is_delivered_again_and_says_the_same(
         mark_delivered(spool, parcels)
 
     monkeypatch.setattr(Spool, "mark_delivered", forgets_some)
-    run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig):
+        run_id = centre.order()
         told = centre.ended(run_id)
     by_number: dict[int, list[dict]] = {}
     for event in told.events:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import random
+import shutil
+import subprocess
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,13 +27,14 @@ from calrig.runs.assignment import NewRun, order_part, ordered_run
 from calrig.runs.follow_up import FollowUpRun
 from calrig.settings import BoardSettings, RigSettings, StageSettings
 from calrig.store import Store
+from calrig.store.bench_tables import PROTOCOL
 
 
 def test_an_ordered_run_is_carried_out_once_and_delivered_in_order(
     centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
-    run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig) as agent:
+        run_id = centre.order()
         told = centre.ended(run_id)
         run, store = agent.service.run(run_id), agent.service.store
         assert (run.status, run.operator, run.unit) == ("completed", "mara", "AS-1")
@@ -47,8 +51,8 @@ def test_an_ordered_run_is_carried_out_once_and_delivered_in_order(
 def test_a_run_that_has_ended_at_the_centre_is_there_with_all_its_samples(
     centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
-    run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig):
+        run_id = centre.order()
         *before, last = centre.ended(run_id).documents
     assert [event["type"] for event in last["events"]] == ["state"]
     assert {document["run"]["status"] for document in before} <= {"queued", "running"}
@@ -71,14 +75,15 @@ def test_an_order_that_nobody_heard_of_is_found_once_the_bench_listens_again(
     with agent_at(centre.bench_url, spool, rig):
         assert centre.ended(centre.order()).status == "completed"
         centre.connection.execute(
-            "SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity WHERE query LIKE 'UPDATE bench_command%'"
+            "SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity WHERE datname = current_database() "
+            "AND pid <> pg_backend_pid() AND query LIKE '%UPDATE bench_command SET taken_at%'"
         )
         assert centre.ended(centre.order(unit="AS-2")).status == "completed"
 
 
 def test_news_that_comes_twice_carries_nothing_out_twice(centre: HandWritten, rig: Rig, spool: Path) -> None:
-    run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig) as agent:
+        run_id = centre.order()
         first = centre.ended(run_id)
         centre.tell()
         centre.order(unit="AS-2", rig="bench-1")
@@ -92,8 +97,8 @@ def test_news_that_comes_twice_carries_nothing_out_twice(centre: HandWritten, ri
 def test_an_order_that_counts_no_more_moves_nothing(
     centre: HandWritten, rig: Rig, spool: Path, columns: dict[str, object]
 ) -> None:
-    run_id = centre.order(**columns)
     with agent_at(centre.bench_url, spool, rig) as agent:
+        run_id = centre.order(**columns)
         centre.order(unit="AS-2")  # what comes after it does
         wait_for(lambda: agent.service.store.runs.page()[0], "run")
         assert [run.unit for run in agent.service.store.runs.page()[0]] == ["AS-2"]
@@ -112,8 +117,8 @@ def test_an_order_taken_back_before_it_is_taken_moves_nothing(
             return take(of, order)
 
     monkeypatch.setattr(orders, "take", too_late)
-    run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig) as agent:
+        run_id = centre.order()
         wait_for(lambda: centre._one("SELECT epoch FROM run_order") > 1, "withdrawal")
         wait_for(lambda: agent.service.crew.is_free("bench-1"), "rig that is kept no longer")
         assert agent.service.store.runs.get(run_id) is None
@@ -122,8 +127,8 @@ def test_an_order_taken_back_before_it_is_taken_moves_nothing(
 
 
 def test_runs_of_one_rig_wait_for_one_another(centre: HandWritten, rig: Rig, spool: Path) -> None:
-    ordered = [centre.order(unit=f"AS-{k}") for k in range(3)]
     with agent_at(centre.bench_url, spool, rig) as agent:
+        ordered = [centre.order(unit=f"AS-{k}") for k in range(3)]
         for run_id in ordered:
             assert centre.ended(run_id).status == "completed"
         runs = [agent.service.run(run_id) for run_id in ordered]
@@ -138,8 +143,6 @@ class Killed(BaseException):
 def test_killed_between_taking_and_spool_the_run_is_interrupted_and_moves_nothing(
     centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_id = centre.order()
-
     def killed(*_: object) -> None:
         raise Killed
 
@@ -147,6 +150,7 @@ def test_killed_between_taking_and_spool_the_run_is_interrupted_and_moves_nothin
         at_this_point.setattr(orders.RigOrders, "_begin", killed)
         at_this_point.setattr("threading.excepthook", lambda _: None)
         with agent_at(centre.bench_url, spool, rig):
+            run_id = centre.order()
             wait_for(lambda: centre.taken_epoch(run_id) == 1, "taking")
     with agent_at(centre.bench_url, spool, rig) as agent:
         told = centre.ended(run_id)
@@ -163,8 +167,8 @@ def test_killed_between_taking_and_spool_the_run_is_interrupted_and_moves_nothin
 def test_killed_before_a_resumption_has_begun_the_run_stays_interrupted_and_says_so(
     centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_id = centre.order(plan=ENDLESS)
     with agent_at(centre.bench_url, spool, rig) as agent:
+        run_id = centre.order(plan=ENDLESS)
         wait_for(lambda: centre.delivered(run_id).poses, "poses")
     assert centre.ended(run_id).status == "interrupted"  # it was told to go in order
     with monkeypatch.context() as at_this_point:
@@ -185,8 +189,8 @@ def _raise_killed(*_: object) -> None:
 def test_an_order_beyond_the_rigs_limits_fails_and_says_why(
     centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
-    run_id = centre.order(plan={**QUICK, "elevations_deg": [-100, 0]})
     with agent_at(centre.bench_url, spool, rig):
+        run_id = centre.order(plan={**QUICK, "elevations_deg": [-100, 0]})
         told = centre.ended(run_id)
     assert told.status == "failed"
     assert "-100" in told.events[-1]["data"]["error"]
@@ -205,11 +209,93 @@ def test_without_the_lease_nothing_is_taken_and_the_person_at_the_bench_starts_r
         run_id = centre.order()
         own = agent.service.start(unit="AS-9", plan=Plan.model_validate(QUICK))
         assert agent.service.wait(own.id).status == "completed"
-        assert centre.taken_epoch(run_id) == 0
         cable.mend()
-        assert centre.ended(run_id).status == "completed"
         told = centre.ended(own.id)
+        wait_for(lambda: centre.held_epoch(run_id), "order that is held back")
+        assert centre.ended(centre.order(unit="AS-2")).status == "completed"
+        assert centre.taken_epoch(run_id) == 0
     assert (told.states, told.documents[0]["epoch"]) == (["queued", "running", "completed"], 1)
+
+
+def test_what_was_ordered_before_the_agent_began_waits_until_it_is_ordered_anew(
+    centre: HandWritten, rig: Rig, spool: Path
+) -> None:
+    run_id = centre.order()
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        assert centre.held_epoch(run_id) == 1
+        assert centre.ended(centre.order(unit="AS-2")).status == "completed"  # which came after it
+        assert agent.service.store.runs.get(run_id) is None
+        centre.connection.execute("UPDATE run_order SET epoch = 2 WHERE run_uid = %s", (run_id,))
+        assert centre.ended(run_id).status == "completed"
+
+
+def test_an_agent_of_another_version_takes_no_orders_delivers_and_can_be_stopped(
+    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calrig.agent.agent.PROTOCOL", PROTOCOL + 1)
+    with agent_at(centre.bench_url, spool, rig, is_accepted=False) as agent:
+        wait_for(lambda: centre._one("SELECT refused FROM bench"), "refusal")
+        run_id = centre.order()
+        own = agent.service.start(unit="AS-9", plan=Plan.model_validate(ENDLESS))
+        wait_for(lambda: centre.delivered(own.id).poses, "poses")
+        stop = centre.command("stop", rig="bench-1")
+        assert wait_for(lambda: centre.answer(stop), "answer")["status"] == 200
+        assert centre.ended(own.id).status == "aborted"
+        assert (agent.lease.is_held(), centre.taken_epoch(run_id)) == (False, 0)
+
+
+def test_an_agent_at_an_older_centre_takes_no_orders_and_can_be_stopped(
+    centre: HandWritten, rig: Rig, spool: Path
+) -> None:
+    before = """
+        DROP TRIGGER calrig_judge ON bench;
+        DROP POLICY calrig_accepted ON run_order;
+        ALTER TABLE bench DROP COLUMN refused, DROP COLUMN bears;
+        ALTER TABLE run_order DROP COLUMN held_epoch;
+    """
+    centre.connection.execute(before)
+    with agent_at(centre.bench_url, spool, rig, is_accepted=False) as agent:
+        wait_for(lambda: centre.said().get("rigs"), "heartbeat")
+        run_id = centre.order()
+        stop = centre.command("stop", rig="bench-1")
+        assert wait_for(lambda: centre.answer(stop), "answer")["status"] == 200
+        assert (agent.lease.is_held(), centre.taken_epoch(run_id)) == (False, 0)
+
+
+def test_an_order_waits_while_its_run_could_not_be_kept_and_a_stop_does_not(
+    centre: HandWritten, rig: Rig, small_disk: Path
+) -> None:
+    with agent_at(centre.bench_url, small_disk / "spool.db", rig) as agent:
+        ballast = small_disk / "ballast"
+        ballast.write_bytes(bytes(room_bytes(small_disk) - 200_000))
+        run_id = centre.order()
+        why = wait_for(lambda: centre.said().get("trouble"), "word of it")
+        assert "the disk is full" in why
+        stop = centre.command("stop", rig="bench-1")
+        assert wait_for(lambda: centre.answer(stop), "answer")["status"] == 200
+        assert centre.taken_epoch(run_id) == 0
+        ballast.unlink()
+        assert centre.ended(run_id).status == "completed"
+        wait_for(lambda: centre.said().get("trouble") is None, "word of it")
+        assert agent.service.store.spool.taken_epochs() == {run_id: 1}
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Sixteen megabytes of a real file system."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ("mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", folder)
+    try:
+        subprocess.run(mount, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no file system can be mounted here: run as root")
+    yield folder
+    subprocess.run(["umount", "-l", folder], check=True)
+
+
+def room_bytes(folder: Path) -> int:
+    return shutil.disk_usage(folder).free
 
 
 def test_a_stop_calls_off_what_is_about_to_begin(rig: Rig, spool: Path, centre: HandWritten) -> None:
@@ -234,8 +320,8 @@ def test_a_stop_calls_off_what_is_about_to_begin(rig: Rig, spool: Path, centre: 
 
 
 def test_a_spool_that_was_lost_leaves_what_the_centre_has(centre: HandWritten, rig: Rig, spool: Path) -> None:
-    run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig):
+        run_id = centre.order()
         told = centre.ended(run_id)
     with agent_at(centre.bench_url, spool.with_name("new.db"), rig):
         wait_for(lambda: len(centre.delivered(run_id).documents) > len(told.documents), "word of the doubt")
@@ -244,8 +330,8 @@ def test_a_spool_that_was_lost_leaves_what_the_centre_has(centre: HandWritten, r
 
 
 def test_the_spool_is_an_ordinary_store(centre: HandWritten, rig: Rig, spool: Path) -> None:
-    run_id = centre.order()
     with agent_at(centre.bench_url, spool, rig):
+        run_id = centre.order()
         centre.ended(run_id)
     with Store.open(f"sqlite:///{spool}", writer=None) as store:
         assert store.runs.get(run_id).status == "completed"

@@ -55,8 +55,9 @@ def agent_process(centre: HandWritten, folder: Path, spool: Path, *options: str)
 def test_a_run_outlives_the_death_of_its_program_as_interrupted(
     centre: HandWritten, tmp_path: Path, spool: Path
 ) -> None:
-    run_id = centre.order(plan=ENDLESS)
     with agent_process(centre, tmp_path, spool) as process:
+        centre.in_touch()
+        run_id = centre.order(plan=ENDLESS)
         wait_for(lambda: centre.delivered(run_id).poses, "poses")
         process.kill()
     with agent_process(centre, tmp_path, spool) as process:
@@ -144,6 +145,7 @@ def test_help_tells_of_agent_and_enroll() -> None:
 def test_what_it_prints_is_one_line(centre: HandWritten, tmp_path: Path, spool: Path) -> None:
     with agent_process(centre, tmp_path, spool) as process:
         assert re.fullmatch(r"calrig \S+, rigs: bench-1\n", process.said)
+        centre.in_touch()
         run_id = centre.order(plan={"elevations_deg": [0], "sweeps": 1, "settle_s": 0.1, "dwell_s": 0.5})
         assert centre.ended(run_id).status == "completed"
         result = centre.delivered(run_id).documents[-1]["run"]["result"]

@@ -199,12 +199,19 @@ def test_what_a_bench_did_alone_is_there_once_it_is_back(
     assert json.loads(page.get("/api/runs?unit=AS-8").text)["items"][0]["id"] == run.id
 
 
-def test_a_bench_that_is_away_cannot_be_stopped_and_that_is_said(
-    page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
+def test_a_bench_that_is_away_is_stopped_when_it_is_back(
+    page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path, cable: Cable
 ) -> None:
-    with agent_at(centre.bench_url, spool, rig):
-        run_id = started(page)
-        ended(page, run_id)
-    refused = page.post("/api/rigs/bench-1/stop")
-    assert refused.status_code == 409
-    assert "last seen" in refused.json()["detail"]
+    with agent_at(cable.url, spool, rig) as agent:
+        run_id = started(page, plan=ENDLESS)
+        wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"], "poses")
+        cable.cut()
+        refused = page.post("/api/rigs/bench-1/stop")
+        assert refused.status_code == 409
+        assert "last seen" in refused.json()["detail"] and "the stop stays" in refused.json()["detail"]
+        assert agent.service.run(run_id).status == "running"
+        assert page.get("/api/rigs").json()[0]["stop_asked_at"] is not None
+        cable.mend()
+        assert ended(page, run_id)["status"] == "aborted"
+        wait_for(lambda: page.get("/api/rigs").json()[0]["stop_asked_at"] is None, "answer")
+    assert rig.stands()

@@ -13,7 +13,7 @@ from sqlmodel import Session, col, select, update
 from calrig.centre.service import CentreService
 from calrig.runs.service import RunService
 from calrig.store import Event, RawSamples, Run, Store, StoredPose
-from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
+from calrig.store.bench_tables import PROTOCOL, BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
 from calrig.store.parcels import packed_row
 from calrig.store.tables import SampleBlockTable
 
@@ -50,7 +50,7 @@ class TableBench:
     """
 
     def __init__(self, url: str, name: str = "hall-2", rig: str = "bench-1") -> None:
-        self.name, self.rig = name, rig
+        self.name, self.rig, self.protocol = name, rig, PROTOCOL
         self._engine: Engine = create_engine(url)
         with Session(self._engine) as session:
             session.add(BenchTable(name=name, hall="north", said={}))
@@ -77,7 +77,8 @@ class TableBench:
         with Session(self._engine) as session:
             now = session.connection().execute(text("SELECT clock_timestamp()")).scalar_one()
             row = session.get_one(BenchTable, self.name)
-            row.last_seen_at, row.said = now - timedelta(seconds=ago_s), {"rigs": [rig]}
+            row.last_seen_at = now - timedelta(seconds=ago_s)
+            row.said = {"rigs": [rig], "protocol": self.protocol}
             session.commit()
 
     def is_gone(self) -> None:
@@ -113,6 +114,13 @@ class TableBench:
             wish = session.scalar(taking)
             session.commit()
             return None if wish == "none" else wish
+
+    def hold(self, run_id: str) -> None:
+        """Holds an order back, as who was away when it was made."""
+        holding = update(RunOrderTable).where(col(RunOrderTable.run_uid) == run_id)
+        with Session(self._engine) as session:
+            session.execute(holding.values(held_epoch=RunOrderTable.epoch))
+            session.commit()
 
     def command(self) -> BenchCommandTable | None:
         """Takes the oldest command that nobody has taken."""

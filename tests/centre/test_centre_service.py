@@ -114,7 +114,8 @@ OF_EARLIER_VERSIONS = """
     CREATE TYPE procrastinate_job_status AS ENUM ('todo', 'doing');
     CREATE TABLE procrastinate_workers (id bigint PRIMARY KEY);
     CREATE TABLE procrastinate_jobs (
-        id bigint PRIMARY KEY, status procrastinate_job_status, worker_id bigint REFERENCES procrastinate_workers
+        id bigint PRIMARY KEY, status procrastinate_job_status,
+        worker_id bigint REFERENCES procrastinate_workers
     );
     CREATE TABLE procrastinate_events (job_id bigint REFERENCES procrastinate_jobs);
     CREATE TABLE procrastinate_periodic_defers (job_id bigint REFERENCES procrastinate_jobs);

@@ -5,10 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
+import psycopg
 import pytest
-from support import wait_for
+from sqlalchemy import make_url
+from support import serving, wait_for
 from table_bench import TableBench
 
 from calrig.analysis.errors import Conflict, Unknown
@@ -16,6 +18,7 @@ from calrig.centre.service import CentreService
 from calrig.plan import Plan
 from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store.bench_tables import BenchCommandTable
+from calrig.store.postgresql.database import TURN
 
 
 @contextmanager
@@ -75,18 +78,40 @@ def test_what_the_bench_says_no_to_is_a_conflict_in_its_words(centre: CentreServ
         centre.stop("bench-7")
 
 
-def test_a_stop_that_reaches_nobody_is_withdrawn_and_said_to_be(
-    patient_centre: CentreService, bench: TableBench
-):
+def test_a_stop_that_reaches_nobody_stays_and_is_said_to(patient_centre: CentreService, bench: TableBench):
     bench.beat(ago_s=40)
 
-    with pytest.raises(
-        Conflict, match=r"hall-2 was last seen \d+ s ago and cannot be told: go there, or cut"
-    ):
+    said = (
+        r"hall-2 was last seen \d+ s ago and has not said that the stage stands: go there, or cut .*; "
+        "the stop stays: the bench obeys it before anything else"
+    )
+    with pytest.raises(Conflict, match=said):
         patient_centre.stop("bench-1")
+    assert patient_centre.rigs()[0].stop_asked_at is not None
+    bench.ages(days=2)
+    patient_centre.store.commands.prune()
 
-    assert bench.commands()[0].withdrawn_at is not None
-    assert bench.command() is None  # it finds nothing when it comes back
+    stop = bench.command()  # when it comes back
+    assert stop is not None
+    bench.answer(stop)
+    assert patient_centre.rigs()[0].stop_asked_at is None
+
+
+def test_a_stop_that_stays_goes_once_somebody_withdraws_it(patient_centre: CentreService, bench: TableBench):
+    bench.beat(ago_s=40)
+    with serving(patient_centre) as client:
+        assert client.delete("/api/rigs/bench-1/stop").status_code == 404
+        assert client.post("/api/rigs/bench-1/stop").status_code == 409
+        assert client.get("/api/benches/overview").json()[0]["rigs"][0]["stop_asked_at"] is not None
+        assert client.delete("/api/rigs/bench-1/stop").status_code == 204
+        assert client.get("/api/rigs").json()[0]["stop_asked_at"] is None
+    assert bench.command() is None
+    (entry,) = patient_centre.store.trail.entries()
+    assert (entry.act.what, entry.act.rig, entry.act.detail) == (
+        "stop_withdrawn",
+        "bench-1",
+        {"benches": ["hall-2"]},
+    )
 
 
 def test_a_bench_that_has_a_stop_and_says_nothing_is_not_said_to_stand(
@@ -96,10 +121,43 @@ def test_a_bench_that_has_a_stop_and_says_nothing_is_not_said_to_stand(
         asking = patient_centre.begin_stop("bench-1")
         clock.until(bench.command, "stop")
 
-        with pytest.raises(Conflict, match="hall-2 has the stop and has not said that the stage stands: go"):
+        with pytest.raises(Conflict, match="has not said that the stage stands: go"):
             asking.result()
 
     assert bench.commands()[0].withdrawn_at is None
+
+
+def test_a_stop_by_a_name_is_for_every_bench_that_bears_it(
+    patient_centre: CentreService, bench: TableBench, url: str, clock: VirtualClock
+):
+    with closing(TableBench(url, "hall-3")) as other, clock.taking_part():
+        stopping = patient_centre.begin_stop("bench-1")
+        both = [clock.until(one.command, "stop") for one in (bench, other)]
+        bench.answer(both[0])
+        other.answer(both[1])
+        assert stopping.result().name == "bench-1"
+
+        stopping = patient_centre.begin_stop("bench-1")
+        bench.answer(clock.until(bench.command, "stop"))
+        with pytest.raises(Conflict, match=r"bench hall-2: the stage stands; bench hall-3: .*has not said"):
+            stopping.result()
+
+
+def test_a_bench_has_a_stop_and_an_abort_while_somebody_else_writes(
+    centre: CentreService, bench: TableBench, plan: Plan, url: str
+):
+    run_id = centre.start(unit="A", plan=plan).id
+    bench.take(run_id, 1)
+    server = make_url(url).set(drivername="postgresql").render_as_string(hide_password=False)
+    with psycopg.connect(server) as somebody:
+        somebody.execute("SELECT pg_advisory_xact_lock(%s)", (TURN,))
+        aborting, stopping = centre.begin_abort(run_id), centre.begin_stop("bench-1")
+        commands = [wait_for(bench.command, "command") for _ in range(2)]
+    for command in commands:
+        bench.answer(command)
+    assert {command.kind for command in commands} == {"abort", "stop"}
+    assert stopping.result().name == "bench-1"
+    assert aborting.result().status == "queued"  # the bench says what became of it
 
 
 def test_commands_of_yesterday_are_deleted(centre: CentreService, bench: TableBench):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from support import QUICK, wait_for
+from support import QUICK, serving, wait_for
 from table_bench import Measured, TableBench
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.centre.service import CentreService
 from calrig.plan import Plan
+from calrig.store.bench_tables import PROTOCOL
+from calrig.store.benches import HELD
 from calrig.store.errors import Refused
 
 
@@ -113,6 +115,51 @@ def test_what_cannot_be_ordered_is_said_before_anything_is_stored(
     assert centre.start(unit="A", plan=plan, queue=True).status == "queued"
 
 
+def test_a_run_that_its_bench_holds_back_says_so_and_is_ordered_anew_by_a_person(
+    centre: CentreService, bench: TableBench, plan: Plan
+):
+    run_id = centre.start(unit="A", plan=plan).id
+    with pytest.raises(Conflict, match="is queued and cannot be resumed"):
+        centre.resume(run_id)
+    bench.hold(run_id)
+    wait_for(lambda: centre.run(run_id).error == HELD, "word of it")
+    assert [event.data["status"] for event in centre.store.events.after(run_id)] == ["queued"]
+
+    run = centre.resume(run_id)
+
+    assert (run.status, run.error) == ("queued", None)
+    order = bench.order(run_id)
+    assert (order.epoch, order.held_epoch, order.wish) == (2, 1, "begin")
+    assert bench.take(run_id, 1) is None
+    assert bench.take(run_id, 2) == "begin"
+
+
+def test_a_bench_that_takes_no_orders_is_shown_and_given_none_but_such_as_wait(
+    centre: CentreService, bench: TableBench, plan: Plan
+):
+    bench.protocol = 1
+    bench.beat()
+    with serving(centre) as client:
+        (listed,), (shown,) = client.get("/api/benches").json(), client.get("/api/benches/overview").json()
+        assert "too old" in listed["refused"] and "too old" in shown["refused"]
+        with pytest.raises(Conflict, match="bench hall-2 takes no orders: its calrig is too old"):
+            centre.start(unit="A", plan=plan)
+        run_id = centre.start(unit="A", plan=plan, queue=True).id
+        wait_for(lambda: "too old" in (centre.run(run_id).error or ""), "reason")
+        bench.protocol = PROTOCOL
+        bench.beat()
+        wait_for(lambda: centre.run(run_id).error is None, "end of it")
+
+
+def test_a_run_that_its_bench_holds_back_is_aborted_without_it(
+    centre: CentreService, bench: TableBench, plan: Plan
+):
+    run_id = centre.start(unit="A", plan=plan).id
+    bench.hold(run_id)
+    bench.beat(ago_s=40)
+    assert centre.abort(run_id).status == "aborted"
+
+
 def _interrupted(centre: CentreService, bench: TableBench, measured: Measured) -> str:
     """A run of the bench that was interrupted after some poses."""
     parcels = measured.parcels[:2]
@@ -156,6 +203,7 @@ def test_a_resumption_takes_along_where_its_stage_stands(
     centre.resume(run_id, 12.5)
     assert bench.order(run_id).document["stage_at_deg"] == 12.5
     centre.store.orders.withdraw(run_id)
+    centre.store.orders.settle_withdrawn(None)
     centre.resume(run_id)
     assert bench.order(run_id).document["stage_at_deg"] is None, "what was said before does not count"
 

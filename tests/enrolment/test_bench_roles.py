@@ -5,6 +5,7 @@ Every connection here is a bench's own, on a real server; the centre's role is n
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 
 import psycopg
@@ -12,6 +13,8 @@ import pytest
 from a_centre import Centre, connect, prepare
 from psycopg.errors import InsufficientPrivilege
 from sqlalchemy import make_url
+
+from calrig.store.bench_tables import PROTOCOL
 
 NOW = "2026-11-22T12:00:00.000000"
 FILLING = f"""
@@ -60,7 +63,7 @@ def test_a_bench_sees_its_own_rows_alone(bench: psycopg.Connection) -> None:
     "query",
     [
         f"UPDATE bench SET last_seen_at = '{NOW}', said = '{{}}'",
-        "UPDATE run_order SET taken_epoch = 3",
+        "UPDATE run_order SET taken_epoch = 3, held_epoch = 2",
         f"UPDATE bench_command SET taken_at = '{NOW}', answered_at = '{NOW}', answer = '{{}}'",
     ],
 )
@@ -94,6 +97,8 @@ def test_a_bench_delivers_parcels_of_its_own_each_once(bench: psycopg.Connection
         "UPDATE bench SET name = 'b'",
         "UPDATE bench SET role = session_user",
         "UPDATE bench SET revoked_at = NULL",
+        "UPDATE bench SET refused = NULL",
+        "UPDATE bench SET bears = NULL",
         "UPDATE bench SET code_sha256 = 'x', code_until = 'x'",
         "UPDATE bench SET hall = 'x'",
         "UPDATE run_order SET epoch = 9",
@@ -118,6 +123,59 @@ def test_a_bench_delivers_parcels_of_its_own_each_once(bench: psycopg.Connection
 def test_all_else_is_refused(bench: psycopg.Connection, query: str) -> None:
     with pytest.raises(InsufficientPrivilege):
         bench.execute(query)
+
+
+def report(bench: psycopg.Connection, *rigs: object, **more: object) -> str | None:
+    """A bench says which rigs it has; why it takes no orders, as the database judges it."""
+    said = {"rigs": [{"name": rig} for rig in rigs], "protocol": PROTOCOL, **more}
+    answer = bench.execute("UPDATE bench SET said = %s RETURNING refused", [json.dumps(said)]).fetchone()
+    assert answer is not None
+    return answer[0]
+
+
+TAKING = "UPDATE run_order SET taken_epoch = 3"
+
+
+def test_the_second_bench_with_a_rig_of_one_name_takes_no_orders_and_does_the_rest(
+    centre: Centre, urls: dict[str, str], bench: psycopg.Connection
+) -> None:
+    with connect(urls["ab"]) as second:
+        assert report(bench, "r1", "r2") is None
+        assert "bench a has a rig 'r1' already" in (report(second, "r0", "r1") or "")
+        assert report(bench, "r1", "r2") is None  # the first one stays it
+        assert second.execute(TAKING).rowcount == 0
+        assert bench.execute(TAKING).rowcount == 1
+        assert second.execute(f"UPDATE bench_command SET taken_at = '{NOW}'").rowcount == 1
+        second.execute(
+            "INSERT INTO parcel (bench, seq, run_uid, document, delivered_at) "
+            f"VALUES ('ab', 2, 'run-of-ab', '{{}}', '{NOW}')"
+        )
+        assert (report(second, "r0"), second.execute(TAKING).rowcount) == (None, 1)
+        assert "bench ab has a rig 'r0'" in (report(bench, "r1", "r0") or "")  # which came to it later
+        centre.store.enrolment.revoke("ab")
+        assert report(bench, "r1", "r0") is None
+
+
+@pytest.mark.parametrize(
+    ("protocol", "why"),
+    [(None, "too old"), ("x", "too old"), (PROTOCOL - 1, "too old"), (PROTOCOL + 1, "too new")],
+)
+def test_a_bench_of_another_version_takes_no_orders(
+    centre: Centre, bench: psycopg.Connection, protocol: object, why: str
+) -> None:
+    assert why in (report(bench, "r1", protocol=protocol) or "")
+    assert bench.execute(TAKING).rowcount == 0
+    (told,) = [one.refused for one in centre.store.enrolment.benches() if one.name == "a"]
+    assert why in (told or "")
+
+
+@pytest.mark.parametrize("rigs", [None, 17, "r1", [17, None, {"name": {"name": "r1"}}], {"name": ["r1"]}])
+def test_what_a_bench_reports_in_another_form_spoils_no_other_benchs_report(
+    urls: dict[str, str], bench: psycopg.Connection, rigs: object
+) -> None:
+    with connect(urls["ab"]) as other:
+        report(other, rigs=rigs)
+        assert report(bench, "r2") is None
 
 
 def test_as_the_group_a_bench_is_still_itself(bench: psycopg.Connection) -> None:

@@ -24,12 +24,18 @@ from calrig.api.access import FORGOTTEN_S, MOST_ALL, MOST_EACH, Access, Attempts
 from calrig.runs.service import RunService
 from calrig.settings import CentreSettings
 from calrig.store import Store
+from calrig.store.bench_tables import PROTOCOL
 from calrig.store.enrolment import WrongCode
 from calrig.store.errors import NotFound, Refused
 from calrig.store.postgresql.agent_url import agent_url, is_on_this_machine
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 TOKEN = "the-benches-of-building-4"
+
+
+def by(code: str) -> dict[str, object]:
+    """What an agent of this version joins by."""
+    return {"code": code, "protocol": PROTOCOL}
 
 
 @pytest.fixture
@@ -90,6 +96,23 @@ class TestCodes:
             kept = admin.execute("SELECT rolpassword FROM pg_authid WHERE rolname = %s", [role]).fetchone()
         assert kept is not None
         assert kept[0].startswith("SCRAM-SHA-256$")
+
+    def test_another_version_and_a_rig_that_another_bench_has_are_refused_and_spend_no_code(
+        self, centre: Centre, name: str
+    ) -> None:
+        rig = f"rig-of-{name}"
+        with connect(centre.join(f"{name}-a")) as other:
+            said = {"rigs": [{"name": rig}], "protocol": PROTOCOL}
+            other.execute("UPDATE bench SET said = %s", [json.dumps(said)])
+        _, code = centre.store.enrolment.add(name)
+        for joins, why in (
+            ({"protocol": PROTOCOL - 1}, "too old .* upgrade the bench first"),
+            ({"protocol": PROTOCOL + 1}, "too new .* upgrade the centre first"),
+            ({"rigs": ["r", rig]}, f"bench {name}-a has a rig '{rig}' already"),
+        ):
+            with pytest.raises(Refused, match=why):
+                centre.store.enrolment.enroll(code, **joins)
+        assert centre.store.enrolment.enroll(code, rigs=["r"])[0] == name
 
     def test_a_bench_that_is_not_there_or_cannot_be_is_said_to_be(self, centre: Centre) -> None:
         with pytest.raises(NotFound, match="there is no bench 'x'"):
@@ -200,7 +223,7 @@ class TestOverHttp:
         assert client.post("/api/benches", json={"name": name}).status_code == 401
         added = client.post("/api/benches", json={"name": name, "hall": "2"}, headers=ADMIN)
         assert added.status_code == 201
-        joined = client.post("/api/benches/enroll", json={"code": added.json()["code"]}).raise_for_status()
+        joined = client.post("/api/benches/enroll", json=by(added.json()["code"])).raise_for_status()
         assert joined.json()["bench"] == name
         with connect(joined.json()["db"]) as bench:
             assert bench.execute("SELECT name, hall FROM bench").fetchall() == [(name, "2")]
@@ -218,7 +241,7 @@ class TestOverHttp:
         for _ in range(MOST_EACH):
             answer = client.post("/api/benches/enroll", json={"code": "guessed"})
             assert (answer.status_code, "by this code" in answer.json()["detail"]) == (403, True)
-        answer = client.post("/api/benches/enroll", json={"code": code})
+        answer = client.post("/api/benches/enroll", json=by(code))
         assert (answer.status_code, answer.headers["Retry-After"]) == (429, "60")
 
     def test_a_code_is_not_spent_on_an_agent_that_could_not_reach_the_database(
@@ -230,14 +253,14 @@ class TestOverHttp:
             serving(service) as client,
         ):
             elsewhere = {"X-Forwarded-For": "192.0.2.7"}
-            answer = client.post("/api/benches/enroll", json={"code": code}, headers=elsewhere)
+            answer = client.post("/api/benches/enroll", json=by(code), headers=elsewhere)
             assert (answer.status_code, "agent_db_host" in answer.json()["detail"]) == (409, True)
         reached = CentreSettings(agent_db_host="db.lab.example", agent_db_port=5433)
         with (
             closing(RunService(centre.store, ())) as service,
             serving(service, centre=reached) as client,
         ):
-            answer = client.post("/api/benches/enroll", json={"code": code}, headers=elsewhere)
+            answer = client.post("/api/benches/enroll", json=by(code), headers=elsewhere)
             url = make_url(answer.raise_for_status().json()["db"])
             assert (url.host, url.port, dict(url.query)) == (
                 "db.lab.example",

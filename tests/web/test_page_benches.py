@@ -178,6 +178,30 @@ def test_a_stop_reaches_the_bench_and_one_that_cannot_is_said_in_its_own_words(
     expect(line).to_contain_text("Stopping all 10 rigs")
 
 
+def test_a_stop_that_waits_a_run_that_is_held_back_and_a_bench_that_is_refused_are_there_to_see(
+    benches: tuple[Any, ManyBenches], show: Show, expect: Any
+) -> None:
+    client, halls = benches
+    halls.unanswered("stop", "rig-31", 600.0)
+    held = halls.order("rig-02", "AS-9")
+    halls.hold(held)
+    halls.beat("bench-3", protocol=1)
+    page = show(40)
+
+    expect(row(page, "rig-31")).to_contain_text("not answered yet. The bench obeys it before anything else.")
+    row(page, "rig-31").get_by_role("button", name="Withdraw stop").click()
+    expect(row(page, "rig-31")).not_to_contain_text("not answered yet")
+    assert client.get("/api/trail?what=stop_withdrawn").json()["entries"][0]["rig"] == "rig-31"
+
+    expect(page.locator("th.bench", has_text="bench-3")).to_contain_text("Takes no orders: its calrig is too old")
+
+    row(page, "rig-02").get_by_role("link", name="run ", exact=False).last.click()
+    expect(page.locator("#run-reason")).to_contain_text("begins once somebody says Go")
+    page.click("#go-held")
+    expect(page.locator("#run-reason")).to_have_count(0)
+    assert client.get(f"/api/runs/{held.id}").json()["error"] is None
+
+
 def test_benches_come_and_go_while_somebody_watches(
     benches: tuple[Any, ManyBenches], show: Show, expect: Any
 ) -> None:

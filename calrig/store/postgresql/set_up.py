@@ -15,6 +15,7 @@ import psycopg
 from psycopg import sql
 from sqlalchemy import Connection, text
 
+from calrig.store.bench_tables import PROTOCOL
 from calrig.store.errors import Refused
 
 EVENTS, PARCELS = "calrig_event", "calrig_parcel"
@@ -103,6 +104,38 @@ MY_BENCH = """
 """The bench whose role is logged in, null of everybody else's. It looks into `bench` as the owner, whose
 policies would ask it again; `session_user` stays that of the login, whatever role is set since.
 """
+JUDGE_BENCH = f"""
+    CREATE OR REPLACE FUNCTION calrig_judge_bench() RETURNS trigger
+    LANGUAGE plpgsql SECURITY DEFINER SET search_path = {{schema}}, pg_temp AS $$
+    DECLARE
+        spoken text := coalesce(substring(NEW.said ->> 'protocol' FROM '^[0-9]{{{{1,9}}}}$'), '1');
+        mine jsonb := jsonb_path_query_array(NEW.said::jsonb, '$.rigs[*].name');
+        twin record;
+    BEGIN
+        SELECT other.name, rig INTO twin
+          FROM bench AS other, jsonb_array_elements_text(mine) AS rig
+         WHERE other.name <> NEW.name AND other.revoked_at IS NULL AND other.bears::jsonb ? rig
+           AND (NOT coalesce(OLD.bears::jsonb ? rig, false)
+                OR (coalesce(other.enrolled_at, ''), other.name) < (coalesce(NEW.enrolled_at, ''), NEW.name))
+         LIMIT 1;
+        NEW.bears := CASE WHEN twin IS NULL THEN mine::text END;
+        NEW.refused := CASE
+            WHEN spoken::int < {PROTOCOL} THEN
+                'its calrig is too old for the centre (protocol ' || spoken || ' instead of {PROTOCOL}): '
+                'install the centre''s version on the bench'
+            WHEN spoken::int > {PROTOCOL} THEN
+                'its calrig is too new for the centre (protocol ' || spoken || ' instead of {PROTOCOL}): '
+                'upgrade the centre'
+            WHEN twin IS NOT NULL THEN
+                'bench ' || twin.name || ' has a rig ' || quote_literal(twin.rig) || ' already: give the '
+                'rigs names of their own in calrig.toml, or revoke the other bench'
+            END;
+        RETURN NEW;
+    END $$
+"""  # noqa: S608 (a number of our own)
+"""Says with each report of a bench why it takes no orders: for its version, or for a rig whose name another
+bench bears, which came first. Those names are read from what this has written: no report can spoil another's.
+"""
 _MINE = "(SELECT calrig_my_bench())"  # in brackets it is asked once a statement, and not once a row
 
 
@@ -117,7 +150,7 @@ class _Rights:
 
 RIGHTS = (
     _Rights("bench", ("SELECT", "UPDATE (last_seen_at, said)"), f"name = {_MINE}"),
-    _Rights("run_order", ("SELECT", "UPDATE (taken_epoch)"), f"bench = {_MINE}"),
+    _Rights("run_order", ("SELECT", "UPDATE (taken_epoch, held_epoch)"), f"bench = {_MINE}"),
     _Rights("bench_command", ("SELECT", "UPDATE (taken_at, answered_at, answer)"), f"bench = {_MINE}"),
     _Rights(
         "parcel",
@@ -262,6 +295,15 @@ def _statements(connection: Connection) -> list[str]:
             f"CREATE POLICY calrig_own ON {one.table} TO {GROUP} USING ({one.own}) WITH CHECK ({one.own})",
             f"GRANT {', '.join(one.grants)} ON {one.table} TO {GROUP}",
         ]
+    laid += [
+        JUDGE_BENCH.format(schema=schema),
+        f"REVOKE ALL ON FUNCTION calrig_judge_bench() {everybody}",
+        "CREATE OR REPLACE TRIGGER calrig_judge BEFORE UPDATE OF said ON bench "
+        "FOR EACH ROW EXECUTE FUNCTION calrig_judge_bench()",
+        "DROP POLICY IF EXISTS calrig_accepted ON run_order",
+        f"CREATE POLICY calrig_accepted ON run_order AS RESTRICTIVE FOR UPDATE TO {GROUP} "
+        "USING (EXISTS (SELECT FROM bench WHERE refused IS NULL))",  # of its own row
+    ]
     return [*laid, f"GRANT USAGE ON SEQUENCE parcel_id_seq TO {GROUP}"]
 
 

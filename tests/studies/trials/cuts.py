@@ -1,7 +1,8 @@
 """Cuts agent, network, centre and PostgreSQL at random instants of runs that a centre has ordered, and looks.
 
-A run goes on by itself where the bench lives; where the agent was killed it is interrupted, and a person
-resumes it at the centre. What the stage was told is read from the transcript of its wire.
+A run goes on by itself where the bench lives. Where the agent was killed it is interrupted, or held back if
+it had not begun, and a person resumes it at the centre. What the stage was told is read from the transcript
+of its wire.
 """
 
 from __future__ import annotations
@@ -83,11 +84,12 @@ def _run_of(at: Centre, run_id: str) -> dict[str, Any] | None:
 
 
 def _to_its_end(at: Centre, run_id: str, out: Outcome) -> dict[str, Any] | None:
-    """The run once it is completed; resumes it where it was interrupted, as a person does."""
+    """The run once it is completed; resumes it where it was interrupted or is held back, as a person does."""
 
     def look() -> dict[str, Any] | None:
         run = _run_of(at, run_id)
-        if run is not None and run["status"] == "interrupted":
+        is_held = run is not None and run["status"] == "queued" and run["error"]
+        if run is not None and (run["status"] == "interrupted" or is_held):
             out.resumed += _asked(at, "POST", f"/api/runs/{run_id}/resume") is not None
         return run if run is not None and run["status"] in {"completed", "failed", "aborted"} else None
 
