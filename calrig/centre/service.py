@@ -375,35 +375,15 @@ class CentreService:
         """As `stop`, in a thread of its own, which all share who ask for it meanwhile."""
         return self._errands.share(("stop", rig_name), self._clock, partial(self._stop, rig_name, who))
 
-<<<<<<< HEAD
     def _stop(self, rig_name: str, who: str | None) -> RigState:
-        rig = self._rigs.known(rig_name)
-        try:
-            self._asking.ask(rig.bench, "stop", rig=rig_name)
-            stopped = self._unfinished_on(rig_name)
-        finally:
-            try:
-                self.store.orders.settle_withdrawn(STOPPED)
-            except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
-                log.error("runs that waited for rig %s are not told of as aborted yet: %s", rig_name, error)
-        for run in stopped:
-            self._entered("aborted", run, who)
-        return next(state for state in self.rigs() if state.name == rig_name)
-
-    def _unfinished_on(self, rig_name: str) -> list[Run]:
-        """Runs that a stop of the rig has aborted; their ends are on their way."""
-        try:
-            return [one for one in self.store.runs.unfinished() if one.rig == rig_name]
-        except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
-            log.error("rig %s: runs that its stop aborted are not in the audit trail: %s", rig_name, error)
-            return []
-=======
-    def _stop(self, rig_name: str) -> RigState:
         benches = [rig.bench for rig in self._rigs.named(rig_name)]
         try:
             self._stop_on(benches, rig_name)
+            stopped = self._unfinished_on(rig_name)
         finally:
             self._settle_withdrawn(BY_REQUEST.reason)
+        for run in stopped:
+            self._entered("aborted", run, who)
         return next(state for state in self.rigs() if state.name == rig_name)
 
     def _stop_on(self, benches: Sequence[Bench], rig_name: str) -> None:
@@ -430,12 +410,19 @@ class CentreService:
         if failures:
             raise Conflict("; ".join(f"bench {name}: {what}" for name, what in said.items()))
 
+    def _unfinished_on(self, rig_name: str) -> list[Run]:
+        """Runs that a stop of the rig has aborted; their ends are on their way."""
+        try:
+            return [one for one in self.store.runs.unfinished() if one.rig == rig_name]
+        except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
+            log.error("rig %s: runs that its stop aborted are not in the audit trail: %s", rig_name, error)
+            return []
+
     def _settle_withdrawn(self, reason: str | None) -> None:
         try:
             self.store.orders.settle_withdrawn(reason)
         except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
             log.error("runs that waited are not told of as aborted yet: %s", error)
->>>>>>> i31core
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:  # noqa: ARG002
         """Turns nothing: whoever does that stands at the bench, and has its page there."""
@@ -458,13 +445,8 @@ class CentreService:
         """Has the run hold after the pose in hand."""
         return self._entered("paused", self._ask_of_run(run_id, "pause", "paused"), who)
 
-<<<<<<< HEAD
     def resume(self, run_id: str, stage_at_deg: float | None = None, who: str | None = None) -> Run:
-        """Has a paused run go on; orders the bench of an interrupted one to take it up again.
-=======
-    def resume(self, run_id: str, stage_at_deg: float | None = None) -> Run:
         """Has a paused run go on, or one that its bench holds back; has an interrupted one taken up again.
->>>>>>> i31core
 
         `stage_at_deg` as of `RunService.resume`.
 
@@ -477,7 +459,7 @@ class CentreService:
         run = self.run(run_id)
         check_stage_at(run, stage_at_deg)
         if run.status == "queued" and self.store.orders.go(run_id):
-            return self.run(run_id)
+            return self._entered("resumed", self.run(run_id), who)
         if run.status != "interrupted":
             return self._entered("resumed", self._ask_of_run(run_id, "resume", "resumed"), who)
         order = self.store.orders.of(run_id)
