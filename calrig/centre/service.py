@@ -381,7 +381,7 @@ class CentreService:
             self._stop_on(benches, rig_name)
             stopped = self._unfinished_on(rig_name)
         finally:
-            self._settle_withdrawn(BY_REQUEST.reason)
+            self._settle_withdrawn(STOPPED)
         for run in stopped:
             self._entered("aborted", run, who)
         return next(state for state in self.rigs() if state.name == rig_name)
