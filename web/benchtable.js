@@ -86,8 +86,8 @@ class BenchHead {
     this.element = h("tbody", { role: "rowgroup" }, h("tr", { role: "row" }, this.cell));
   }
 
-  show({ name, state, silent_since: since, silent_for_s: silent_s, undelivered, rigs }) {
-    const now = JSON.stringify([name, state, since, silent_s, undelivered, rigs.length]);
+  show({ name, state, silent_since: since, silent_for_s: silent_s, undelivered, clock, rigs }) {
+    const now = JSON.stringify([name, state, since, silent_s, undelivered, clock, rigs.length]);
     if (now === this.now) return;
     this.now = now;
     const heard = {
@@ -97,7 +97,8 @@ class BenchHead {
     }[state]();
     const rest = undelivered && `; ${plural(undelivered.parcels, "message")} not delivered yet`;
     const who = h("span", { class: "rig-name" }, name ?? "This machine");
-    fill(this.cell, who, " ", heard, h("span", { class: "muted" }, rest));
+    const off = clock && h("span", { class: "away" }, `; ${clock}`);
+    fill(this.cell, who, " ", heard, h("span", { class: "muted" }, rest), off);
   }
 }
 

@@ -34,6 +34,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 import calrig
+from calrig.agent.clock import ClockSkew
 from calrig.agent.link import NOW, Centre, Lease, Link, LinkDown, json_of
 from calrig.agent.orders import RigOrders
 from calrig.analysis.errors import RunsError, Unknown
@@ -353,6 +354,7 @@ class Heartbeat:
     ) -> None:
         self._link, self._lease, self._service = link, lease, service
         self._closing, self._renewed = closing, renewed
+        self._clock = ClockSkew()
         self._is_up: bool | None = None
 
     def run(self) -> None:
@@ -375,9 +377,11 @@ class Heartbeat:
         said = self.said()
         asked_at_s = self._lease.asked_at_s()
         with self._link.centre() as centre:
+            self._clock.measure(centre.connection)
+            said["clock_skew_s"] = self._clock.skew_s
             centre.connection.execute(_BEAT, (json_of(said), centre.bench))
         self._tell(is_up=True, said=f"bench {centre.bench} is in touch with its centre")
-        if self._lease.renew(asked_at_s):
+        if not self._clock.is_refused and self._lease.renew(asked_at_s):
             self._renewed()
 
     def said(self) -> dict[str, Any]:

@@ -77,7 +77,7 @@ class BenchAtAGlance(Model):
     """A bench and its rigs; this machine where there is no name.
 
     `silent_since` is when it last said something, once that is more than ten seconds ago. `silent_for_s` is
-    how long ago, in steps that grow with it.
+    how long ago, in steps that grow with it. `clock` says what is wrong with its clock.
     """
 
     name: str | None
@@ -86,6 +86,7 @@ class BenchAtAGlance(Model):
     silent_since: datetime | None
     silent_for_s: float | None
     undelivered: UndeliveredAnswer | None
+    clock: str | None
     rigs: list[RigAtAGlance]
 
 

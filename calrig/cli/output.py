@@ -276,7 +276,9 @@ def print_benches(benches: Sequence[Membership]) -> None:
 def _standing(bench: Membership) -> str:
     if bench.code_until is not None:
         return f"awaited until {bench.code_until:%Y-%m-%d %H:%M} UTC"
-    return "revoked" if bench.revoked_at is not None else "joined"
+    if bench.revoked_at is not None:
+        return "revoked"
+    return "joined" if bench.clock is None else f"joined; {bench.clock}"
 
 
 def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:

@@ -58,7 +58,10 @@ class KnownUser(Model):
 
 
 class Membership(Model):
-    """A bench that may join, has joined or was revoked; times are null until then."""
+    """A bench that may join, has joined or was revoked; times are null until then.
+
+    `clock` says what is wrong with its clock, null within 2 s of the centre's.
+    """
 
     name: str
     hall: str | None
@@ -68,3 +71,7 @@ class Membership(Model):
     enrolled_at: datetime | None
     revoked_at: datetime | None
     last_seen_at: datetime | None
+    clock_skew_s: float | None = Field(
+        default=None, description="Its time less the centre's, as it measured last; null if not known."
+    )
+    clock: str | None = None

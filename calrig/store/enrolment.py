@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 from sqlmodel import Session, select
 
+from calrig.model.clock_skew import said_skew_s, skew_in_words
 from calrig.model.service import Membership
 from calrig.store.bench_tables import BENCH_NAME, BenchTable
 from calrig.store.database import Repository
@@ -29,7 +30,7 @@ class Enrolment(Repository):
         """Every bench by name, those that were revoked as well."""
         with self._database.reading() as session:
             return [
-                Membership.model_validate(row)
+                Membership.model_validate(row).model_copy(update=_clock(row))
                 for row in session.exec(select(BenchTable).order_by(BenchTable.name))
             ]
 
@@ -144,6 +145,12 @@ def _let_in(
             "database's server as `agent_db_host` under [centre] in the centre's calrig.toml"
         )
     return url.render_as_string(hide_password=False)
+
+
+def _clock(row: BenchTable) -> dict[str, float | str | None]:
+    """What a membership says of the bench's clock."""
+    skew_s = said_skew_s(row.said.get("clock_skew_s"))
+    return {"clock_skew_s": skew_s, "clock": skew_in_words(skew_s)}
 
 
 def _require_centre(session: Session) -> None:
