@@ -89,8 +89,8 @@ class BenchHead {
     this.element = h("tbody", { role: "rowgroup" }, h("tr", { role: "row" }, this.cell));
   }
 
-  show({ name, state, silent_since: since, silent_for_s: silent_s, undelivered, refused, rigs }) {
-    const now = JSON.stringify([name, state, since, silent_s, undelivered, refused, rigs.length]);
+  show({ name, state, silent_since: since, silent_for_s: silent_s, undelivered, refused, clock, rigs }) {
+    const now = JSON.stringify([name, state, since, silent_s, undelivered, refused, clock, rigs.length]);
     if (now === this.now) return;
     this.now = now;
     const heard = {
@@ -100,8 +100,9 @@ class BenchHead {
     }[state]();
     const rest = undelivered && `; ${plural(undelivered.parcels, "message")} not delivered yet`;
     const who = h("span", { class: "rig-name" }, name ?? "This machine");
+    const off = clock && h("span", { class: "away" }, `; ${clock}`);
     const why = refused && h("p", { class: "error" }, `Takes no orders: ${refused}.`);
-    fill(this.cell, who, " ", heard, h("span", { class: "muted" }, rest), why);
+    fill(this.cell, who, " ", heard, h("span", { class: "muted" }, rest), off, why);
   }
 }
 

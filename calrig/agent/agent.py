@@ -24,9 +24,11 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 import calrig
+from calrig.agent.clock import ClockSkew
 from calrig.agent.link import NOW, Centre, Lease, Link, LinkDown, json_of
 from calrig.agent.orders import RigOrders
 from calrig.analysis.errors import RunsError, Unknown
+from calrig.model.clock_skew import skew_in_words
 from calrig.runs.presence import BoardCheck
 from calrig.runs.rig_status import said_of
 from calrig.runs.service import RunService
@@ -298,6 +300,7 @@ class Heartbeat:
     ) -> None:
         self._link, self._lease, self._service = link, lease, service
         self._closing, self._renewed, self._trouble = closing, renewed, trouble
+        self._clock = ClockSkew()
         self._state: str | None = ""
 
     def run(self) -> None:
@@ -320,9 +323,13 @@ class Heartbeat:
         said = self.said()
         asked_at_s, is_anew = self._lease.asked_at_s(), not self._lease.is_held()
         with self._link.centre() as centre, centre.connection.transaction():
+            self._clock.measure(centre.connection)
+            said["clock_skew_s"] = self._clock.skew_s
             beat = centre.connection.execute(_BEAT, (json_of(said), centre.bench)).fetchone()
             judges, refused = beat or (True, None)
             refused = refused if judges else TOO_OLD
+            if refused is None and self._clock.is_refused:
+                refused = skew_in_words(self._clock.skew_s)
             if is_anew and refused is None:  # in one: whoever sees the bench back may order what is taken
                 centre.connection.execute(_HOLD, (centre.bench,))
         if refused is not None:

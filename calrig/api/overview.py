@@ -78,7 +78,8 @@ class BenchAtAGlance(Model):
     """A bench and its rigs; this machine where there is no name.
 
     `silent_since` is when it last said something, once that is more than ten seconds ago. `silent_for_s` is
-    how long ago, in steps that grow with it. `refused` says why it takes no orders.
+    how long ago, in steps that grow with it. `refused` says why it takes no orders, `clock` what is wrong with its
+    clock.
     """
 
     name: str | None
@@ -88,6 +89,7 @@ class BenchAtAGlance(Model):
     silent_for_s: float | None
     undelivered: UndeliveredAnswer | None
     refused: str | None
+    clock: str | None
     rigs: list[RigAtAGlance]
 
 

@@ -17,6 +17,7 @@ from pydantic import AwareDatetime, BaseModel, Field, ValidationError
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.revisions import Releases
+from calrig.model.clock_skew import said_skew_s, skew_in_words
 from calrig.model.service import RigState, RigWork
 from calrig.runs.presence import BoardCheck
 from calrig.runs.rig_status import look_of, settings_of
@@ -303,6 +304,7 @@ _HERE: Document = {
     "silent_for_s": None,
     "undelivered": None,
     "refused": None,
+    "clock": None,
 }
 
 
@@ -318,6 +320,7 @@ def _bench(bench: Bench) -> Document:
         "silent_for_s": _coarse(ago_s) if ago_s is not None and is_silent else None,
         "undelivered": outbox.model_dump() if outbox is not None and outbox.parcels else None,
         "refused": bench.refused,
+        "clock": skew_in_words(said_skew_s(bench.said.get("clock_skew_s"))),
     }
 
 

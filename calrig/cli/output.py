@@ -331,7 +331,8 @@ def _standing(bench: Membership) -> str:
         return f"awaited until {bench.code_until:%Y-%m-%d %H:%M} UTC"
     if bench.revoked_at is not None:
         return "revoked"
-    return "joined" if bench.refused is None else f"joined, takes no orders: {bench.refused}"
+    notes = [bench.refused and f"takes no orders: {bench.refused}", bench.clock]
+    return "; ".join(["joined", *filter(None, notes)])
 
 
 def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:

@@ -62,7 +62,8 @@ class KnownUser(Model):
 class Membership(Model):
     """A bench that may join, has joined or was revoked; times are null until then.
 
-    `refused` says why it takes no orders: its version, another bench's rig of the same name, a full disk.
+    `refused` says why it takes no orders: its version, another bench's rig of the same name, a full disk. `clock`
+    says what is wrong with its clock, null within 2 s of the centre's.
     """
 
     name: str
@@ -74,3 +75,7 @@ class Membership(Model):
     revoked_at: datetime | None
     last_seen_at: datetime | None
     refused: str | None = None
+    clock_skew_s: float | None = Field(
+        default=None, description="Its time less the centre's, as it measured last; null if not known."
+    )
+    clock: str | None = None

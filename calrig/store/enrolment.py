@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 from sqlmodel import Session, col, select
 
+from calrig.model.clock_skew import said_skew_s, skew_in_words
 from calrig.model.service import Membership
 from calrig.store.bench_tables import BENCH_NAME, PROTOCOL, BenchTable
 from calrig.store.benches import refusal
@@ -32,7 +33,7 @@ class Enrolment(Repository):
         """Every bench by name, those that were revoked as well."""
         with self._database.reading() as session:
             return [
-                Membership.model_validate(row).model_copy(update={"refused": refusal(row)})
+                Membership.model_validate(row).model_copy(update={"refused": refusal(row), **_clock(row)})
                 for row in session.exec(select(BenchTable).order_by(BenchTable.name))
             ]
 
@@ -173,6 +174,12 @@ def _require_own_names(session: Session, name: str, rigs: Sequence[str]) -> None
                 f"bench {other.name} has a rig {twins[0]!r} already: give the rigs names of their own in "
                 f"calrig.toml, or revoke bench {other.name} first"
             )
+
+
+def _clock(row: BenchTable) -> dict[str, float | str | None]:
+    """What a membership says of the bench's clock."""
+    skew_s = said_skew_s(row.said.get("clock_skew_s"))
+    return {"clock_skew_s": skew_s, "clock": skew_in_words(skew_s)}
 
 
 def _require_centre(session: Session) -> None:

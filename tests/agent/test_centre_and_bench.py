@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import json
 import random
+import re
 from collections.abc import Iterator
 from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import httpx
@@ -15,6 +17,7 @@ import pytest
 from a_bench import ENDLESS, Cable, HandWritten, Rig, agent_at, rigs_of
 from support import QUICK, ended, imported, serving, wait_for
 
+from calrig.agent import clock
 from calrig.centre.service import CentreService
 from calrig.store import Store
 
@@ -65,6 +68,39 @@ def test_a_run_of_the_centre_is_watched_ends_and_gives_a_revision(
     assert np.array_equal(kept["gyro_x_dps"], samples.gyro_dps[:, 0])
     (revision,) = page.get("/api/units/AS-1/calibrations").json()
     assert (revision["run_id"], revision["status"]) == (run_id, "in_force")
+
+
+def test_a_bench_whose_clock_is_a_minute_off_takes_no_orders_and_says_why(
+    page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ahead_s = 75.0
+    monkeypatch.setattr(clock, "utc_now", lambda: datetime.now(UTC) + timedelta(seconds=ahead_s))
+
+    def said() -> tuple[float | None, str | None]:
+        (bench,) = page.get("/api/benches").raise_for_status().json()
+        return bench["clock_skew_s"], bench["clock"]
+
+    with agent_at(centre.bench_url, spool, rig) as agent:
+        run_id = started(page)
+        skew_s, why = wait_for(
+            lambda: (found := said())[0] is not None and found, "what it says of its clock"
+        )
+        assert skew_s == pytest.approx(75.0, abs=2.0)
+        assert re.fullmatch(
+            r"its clock is 7\d s ahead of the centre's \(at most 60 s\), so it takes no .*NTP\)", why
+        )
+        (at_a_glance,) = page.get("/api/benches/overview").json()
+        assert at_a_glance["clock"] is not None
+        assert not agent.lease.is_held()
+        assert run_of(page, run_id)["status"] == "queued"
+        ahead_s = 10.0
+        assert ended(page, run_id)["status"] == "completed"
+        said_then = wait_for(
+            lambda: (found := said()[1]) and "takes no" not in found and found, "other words"
+        )
+        assert "ahead of the centre's: synchronise" in said_then
+        ahead_s = 0.0
+        wait_for(lambda: said()[1] is None, "nothing to be said")
 
 
 def test_a_unit_on_a_bench_is_looked_at_before_its_run(

@@ -93,11 +93,12 @@ def test_what_a_bench_says_in_another_form_is_not_known_and_keeps_nothing_from_b
     halls: Hall,
 ) -> None:
     client, benches = halls
-    benches.beat("bench-1", outbox={"parcels": "many"}, lease_losses=-1)
+    benches.beat("bench-1", outbox={"parcels": "many"}, lease_losses=-1, clock_skew_s="late")
     benches.states["rig-06"] = {"state": "busy", "run_id": {"id": 17}}
     benches.beat("bench-2")
     found = client.get("/api/benches/overview").raise_for_status().json()
     assert found[0]["undelivered"] is None
+    assert found[0]["clock"] is None
     assert found[1]["rigs"][0]["run_id"] is None
     assert "calrig_orders_waiting" in client.get("/api/metrics").raise_for_status().text
 

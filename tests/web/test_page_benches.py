@@ -210,6 +210,9 @@ def test_benches_come_and_go_while_somebody_watches(
     lab.store.enrolment.add("bench-9", "hall 3")
     expect(page.locator(".halls h2")).to_have_text(["hall 1", "hall 2", "hall 3", "hall 10"])
     expect(page.locator("th.bench").filter(has_text="bench-9")).to_contain_text("no report")
+    lab.beat("bench-2", clock_skew_s=-3.2)
+    words = "its clock is 3 s behind the centre's: synchronise both clocks (NTP)"
+    expect(page.locator("th.bench").filter(has_text="bench-2")).to_contain_text(words)
     lab.beat("bench-1", ago_s=60)
     expect(row(page, "rig-01")).to_contain_text("offline")
     expect(page.locator("[role=status].for-screen-readers")).to_contain_text("Rig rig-01: offline.")
