@@ -440,11 +440,9 @@ class Commands(Repository):
 
     def unobeyed(self) -> dict[tuple[str, str], datetime]:
         """Since when a stop has been asked for that the bench has not answered, by bench and rig."""
-        of_rig = BenchCommandTable.bench, BenchCommandTable.rig
-        wanted = select(*of_rig, func.min(BenchCommandTable.asked_at)).where(UNOBEYED)
+        wanted = select(BenchCommandTable).where(UNOBEYED).order_by(col(BenchCommandTable.asked_at).desc())
         with self._database.reading() as session:
-            found = session.exec(wanted.group_by(*map(col, of_rig))).all()
-        return {(bench, rig): at for bench, rig, at in found if rig is not None}
+            return {(row.bench, row.rig or ""): row.asked_at for row in session.exec(wanted)}
 
     def withdraw_stop(self, rig: str, *, who: str | None = None) -> None:
         """Takes back what is to stop a rig of that name and was not answered, on every bench that has one.

@@ -72,7 +72,7 @@ def test_a_run_begun_without_the_centre_is_delivered_by_a_later_program(
     centre: HandWritten, rig: Rig, spool: Path, cable: Cable
 ) -> None:
     cable.cut()
-    with agent_at(cable.url, spool, rig) as agent:
+    with agent_at(cable.url, spool, rig, is_accepted=False) as agent:
         run = agent.service.start(unit="AS-7", plan=Plan.model_validate(QUICK))
         assert agent.service.wait(run.id).status == "completed"
     cable.mend()

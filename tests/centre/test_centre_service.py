@@ -39,6 +39,7 @@ def test_the_rigs_of_a_centre_are_those_of_its_benches(centre: CentreService, be
             "bench": "hall-2",
             "hall": "north",
             "last_seen_at": None,
+            "stop_asked_at": None,
         }
         run_id = client.post("/api/runs", json={"unit": "A", "plan": QUICK}).json()["id"]
         assert [(rig["state"], rig["run_id"]) for rig in client.get("/api/rigs").json()] == [("busy", run_id)]

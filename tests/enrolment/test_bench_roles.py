@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import psycopg
 import pytest
 from a_centre import Centre, connect, prepare
 from psycopg.errors import InsufficientPrivilege
 from sqlalchemy import make_url
+from support import wait_for
 
 from calrig.store.bench_tables import PROTOCOL
 
@@ -228,6 +230,21 @@ def test_rights_that_are_laid_are_not_laid_again(centre: Centre, urls: dict[str,
         before = owner.execute(policies).fetchall()
         prepare(centre.url)
         assert owner.execute(policies).fetchall() == before
+
+
+def test_a_database_is_brought_up_to_date_while_a_bench_is_at_work_in_it(
+    centre: Centre, urls: dict[str, str]
+) -> None:
+    waits = "SELECT count(*) FROM pg_locks WHERE NOT granted AND locktype = 'relation'"
+    with connect(centre.url) as owner, connect(urls["a"]) as bench, ThreadPoolExecutor(1) as beside:
+        owner.execute("DROP FUNCTION calrig_tell_order_v1 CASCADE")
+        with bench.transaction():
+            bench.execute("SELECT 1 FROM run_order")
+            upgrade = beside.submit(prepare, centre.url)
+            wait_for(lambda: owner.execute(waits).fetchone() != (0,), "upgrade that waits for the bench")
+            assert bench.execute("SELECT name FROM bench").fetchall() == [("a",)]
+        upgrade.result()
+        assert report(bench, "r1") is None
 
 
 @pytest.mark.parametrize(

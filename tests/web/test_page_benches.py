@@ -193,7 +193,9 @@ def test_a_stop_that_waits_a_run_that_is_held_back_and_a_bench_that_is_refused_a
     expect(row(page, "rig-31")).not_to_contain_text("not answered yet")
     assert client.get("/api/trail?what=stop_withdrawn").json()["entries"][0]["rig"] == "rig-31"
 
-    expect(page.locator("th.bench", has_text="bench-3")).to_contain_text("Takes no orders: its calrig is too old")
+    expect(page.locator("th.bench", has_text="bench-3")).to_contain_text(
+        "Takes no orders: its calrig is too old"
+    )
 
     row(page, "rig-02").get_by_role("link", name="run ", exact=False).last.click()
     expect(page.locator("#run-reason")).to_contain_text("begins once somebody says Go")

@@ -17,13 +17,15 @@ from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database, migrate, revisions
 from calrig.store.errors import StoreDamagedError, StoreError
 from calrig.store.postgresql.errors import DAMAGED, store_error
-from calrig.store.postgresql.set_up import is_secure, is_set_up, secure, set_up
+from calrig.store.postgresql.set_up import is_secure, is_set_up, keep_benches_out, secure, set_up
 from calrig.store.records import Size
 
 TURN = 0x63616C726967
 """Advisory lock of who writes: numbers that follow on one another (revisions, the trail, a run's events)
 are read and written again in one turn, as under SQLite's one writer.
 """
+ATTEMPTS = 10
+"""At bringing a database up to date in which benches are at work."""
 CONNECT_S = 5
 ALIVE: dict[str, Any] = {
     "connect_timeout": CONNECT_S,
@@ -108,13 +110,25 @@ class PostgresqlDatabase(Database):
 
     def _upgrade(self, head: str) -> None:
         """Brings the tables up to date, all of it or nothing; of several processes the first does it."""
-        with self._engine.begin() as connection:
-            connection.execute(text("SELECT pg_advisory_xact_lock(:turn)"), {"turn": TURN})
-            if self._stored_revision(connection) != head:
-                migrate(connection)
-            if not is_set_up(connection):
-                set_up(connection)
-            secure(connection)
+        for left in reversed(range(ATTEMPTS)):
+            try:
+                with self._engine.begin() as connection:
+                    self._bring_up(connection, head)
+                return
+            except OperationalError as error:  # a bench was in the middle of a transaction
+                if not left or not isinstance(error.orig, psycopg.errors.DeadlockDetected):
+                    raise
+
+    def _bring_up(self, connection: Connection, head: str) -> None:
+        connection.execute(text("SELECT pg_advisory_xact_lock(:turn)"), {"turn": TURN})
+        if self._stored_revision(connection) == head and is_set_up(connection) and is_secure(connection):
+            return
+        keep_benches_out(connection)
+        if self._stored_revision(connection) != head:
+            migrate(connection)
+        if not is_set_up(connection):
+            set_up(connection)
+        secure(connection)
 
     @contextmanager
     def _reading(self) -> Iterator[Session]:

@@ -82,6 +82,23 @@ def is_set_up(connection: Connection) -> bool:
     return bool(connection.execute(wanted, {"newest": _NEWEST}).scalar_one())
 
 
+_OF_BENCHES = (
+    "procrastinate_jobs", "procrastinate_workers", "procrastinate_events", "procrastinate_periodic_defers",
+    "run_order", "bench_command", "parcel", "bench",
+)  # fmt: skip
+"""Tables that benches are at work in, those of earlier versions too. Each of their statements asks in the end
+which bench it is: so `bench` comes last.
+"""
+
+
+def keep_benches_out(connection: Connection) -> None:
+    """Waits for the statements that benches are in, and lets them begin no other one until this is over."""
+    is_there = text("SELECT to_regclass(:table) IS NOT NULL")
+    tables = [one for one in _OF_BENCHES if connection.scalar(is_there, {"table": one})]
+    if tables:
+        connection.exec_driver_sql(f"LOCK TABLE {', '.join(tables)} IN ACCESS EXCLUSIVE MODE")
+
+
 def set_up(connection: Connection) -> None:
     """Gives it to a database, inside the transaction that the connection is in; what is there stays."""
     raw = connection.connection.driver_connection
