@@ -4,6 +4,7 @@ import { get } from "./api.js";
 import { Chart, NONE_VALID } from "./charts.js";
 import { card, dataTable, fill, h, NO_UNITS, numberCell, runLink, suspectTag, tableRow, unitLink } from "./dom.js";
 import { day, isKnown, moment, plusMinus, range, significant } from "./format.js";
+import { verdictWords } from "./runfilters.js";
 
 const CHARTS = [
   ["residuals", "Residual of each unit's latest run, plain fit"],
@@ -74,7 +75,7 @@ function summary({ units, spread, repeatability }, draw) {
       [
         largestChange(one),
         [day(one.due_at), one.overdue && tag("overdue")],
-        ...(one.in_force ? inForceCells(one.in_force) : [h("td", { colspan: "4", class: "muted" }, "none in force")]),
+        ...(one.in_force ? inForceCells(one.in_force) : [h("td", { colspan: "5", class: "muted" }, "none in force")]),
         ...(latest ? runCells(latest) : [h("td", { colspan: "2", class: "muted" }, "no valid completed run")]),
         numberCell(one.runs.length.toLocaleString()),
         numberCell(isKnown(one.drift_deg_per_day) ? significant(one.drift_deg_per_day, 2, "°/day") : "–"),
@@ -105,7 +106,7 @@ const tag = (text) => h("span", { class: "tag warns" }, text);
 
 /** The largest change between successive runs, in full if it exceeds repeatability. */
 function largestChange({ change, changed }) {
-  if (!change) return "–";
+  if (!change) return "not known yet";
   if (changed) return h("td", { class: "wrap" }, change.says);
   return h("td", { title: change.says }, change.verdict === "unchanged" ? "unchanged" : "not known yet");
 }
@@ -124,11 +125,12 @@ function colourBoxes(units, draw) {
   return new Map(boxes.map((box) => [box.value, box]));
 }
 
-const IN_FORCE = ["#Revision in force", "#Bias", "#Scale", "#RMS error, calibrated"];
+const IN_FORCE = ["#Revision in force", "Verdict", "#Bias", "#Scale", "#RMS error, calibrated"];
 
 function inForceCells(one) {
   return [
     h("td", { title: one.effects.join(", ").replaceAll("_", " ") || "no effects" }, one.revision),
+    h("td", {}, verdictWords(one)),
     numberCell(isKnown(one.bias_deg) ? plusMinus(one.bias_deg, one.bias_std_deg, "°") : "–"),
     numberCell(plusMinus(one.scale, one.scale_std)),
     numberCell(significant(one.rms_deg, 3, "°")),

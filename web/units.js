@@ -110,7 +110,7 @@ function unitHistory(serial, signal) {
       body,
       due(unit),
       rows.length
-        ? dataTable("Changes", HEADINGS, rows, { id: "changes-table" })
+        ? [h("p", { class: "muted", id: "changes-basis" }, BASIS), dataTable("Changes", HEADINGS, rows, { id: "changes-table" })]
         : h("p", { class: "muted" }, "Changes are evaluated from two valid calibrations on."),
       drawn && chart.element,
     );
@@ -141,12 +141,24 @@ function due({ due_at: at, overdue, due_says: says }) {
   );
 }
 
-const HEADINGS = ["From run", "To run", "Verdict", "Statement", "#Days", "#Bias", "#Scale", "#p"];
+const HEADINGS = ["From run", "To run", "Verdict", "Statement", "#Days", "#Bias", "#Scale", "#RMS error", "Gyro", "#p"];
+const BASIS =
+  "Bias, scale and RMS error are compared by the plain fit of each run, without effects. The calibration in force, with its " +
+  "effects, is listed above. Gyro: noise of both runs alone; it does not enter the verdict.";
 const WORDS = { changed: "changed", unchanged: "unchanged", not_known: "not known" };
 
 function pValue(p) {
   if (!isKnown(p)) return "–";
   return p < LEAST_P ? `< ${LEAST_P}` : significant(p, 2);
+}
+
+const AXES = ["x", "y", "z"];
+
+/** The gyro's biases and scale, as far as they are known. */
+function gyroChange(gyro) {
+  if (!gyro) return "–";
+  const biases = AXES.map((axis, k) => isKnown(gyro.bias_dps[k]) && `${axis} ${plusMinus(gyro.bias_dps[k], gyro.bias_std_dps[k], "°/s")}`);
+  return [...biases, isKnown(gyro.scale) && `scale ${plusMinus(gyro.scale, gyro.scale_std)}`].filter(Boolean).join(", ");
 }
 
 function row(change, diagnoseBoth) {
@@ -169,6 +181,8 @@ function row(change, diagnoseBoth) {
     numberCell(fixed(change.days, change.days < 10 ? 1 : 0)),
     numberCell(plusMinus(change.bias_deg, change.bias_std_deg, "°")),
     numberCell(plusMinus(change.scale, change.scale_std)),
+    numberCell(isKnown(change.rms_deg) ? significant(change.rms_deg, 2, "°") : "–"),
+    h("td", { class: "wrap" }, gyroChange(change.gyro)),
     numberCell(pValue(change.p_value)),
   );
 }

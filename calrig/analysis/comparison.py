@@ -13,7 +13,7 @@ from pydantic_core import to_json
 from calrig.analysis.check_standard import suspects
 from calrig.analysis.due_dates import DueDates, due_dates
 from calrig.analysis.errors import Unknown
-from calrig.analysis.histories import RULE, Histories, change_of, histories
+from calrig.analysis.histories import RULE, Histories, change_of, change_verdict, histories
 from calrig.calibration.histories import (
     FALSE_DISCOVERY_RATE,
     Components,
@@ -79,6 +79,8 @@ def _figures(revision: Revision) -> Row:
         "scale_std": stds[1],
         "rms_deg": document["rms_calibrated_deg"] if with_effects is None else with_effects,
         "effects": [effect["name"] for effect in document["effects"]],
+        "answer": revision.verdict["answer"],
+        "left": revision.verdict["left"],
     }
 
 
@@ -98,6 +100,10 @@ def comparison(
             "drift_deg_per_day": _drift(runs),
             "p_value": significance.get(serial),
             "changed": serial in most and bool(found.changes.changed[most[serial]]),
+            "verdict": change_verdict(
+                significance.get(serial),
+                changed=serial in most and bool(found.changes.changed[most[serial]]),
+            ),
             "change": change_of(found, most[serial]) if serial in most else None,
             **due.of(serial).to_dict(),
         }

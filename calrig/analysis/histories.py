@@ -29,6 +29,8 @@ from calrig.calibration.histories import (
     pairs,
 )
 from calrig.estimation.angles import FloatArray
+from calrig.model.comparison import ChangeVerdict
+from calrig.model.result import Gyro
 from calrig.store import ComparisonRow, Store
 
 FIGURES = (("bias_deg", "bias_std_deg"), ("scale", "scale_std"))
@@ -306,6 +308,7 @@ def unit_changes(store: Store, serial: str) -> list[Document]:
     places = found.of(serial)
     signals = [chart.signals for chart in charts(found, serial) if chart is not None]
     pairs = found.changes.figures[0].first
+    gyros = store.runs.gyros([found.rows[place].run_id for place in places])
     listed = []
     for k in [k for k, first in enumerate(pairs) if len(places) and places[0] <= first <= places[-1]]:
         change = change_of(found, k)
@@ -313,6 +316,7 @@ def unit_changes(store: Store, serial: str) -> list[Document]:
             change["effects"] = _traced(store, change["from"], change["to"])
             if change["effects"]:
                 change["says"] = traced_in_words(change["effects"])
+        change["gyro"] = gyro_difference(gyros.get(change["from"]), gyros.get(change["to"]))
         to = int(found.changes.figures[0].second[k] - places[0])
         change["signal"] = any(bool(one[to]) for one in signals) if signals else None
         listed.append(change)
@@ -332,9 +336,11 @@ def change_of(found: Histories, k: int) -> Document:
         change[name] = value
         change[f"{name.removesuffix('_deg')}_std{'_deg' if name.endswith('_deg') else ''}"] = std
         change[f"{name.removesuffix('_deg')}_sigma"] = sigma
+    before, after = (found.rows[place].result["rms_calibrated_deg"] for place in (first, second))
+    change["rms_deg"] = None if None in (before, after) else after - before
     p_value = _known(found.changes.p_value[k])
     changed = bool(found.changes.changed[k])
-    verdict = "not_known" if p_value is None else "changed" if changed else "unchanged"
+    verdict = change_verdict(p_value, changed=changed)
     return {
         **change,
         "p_value": p_value,
@@ -342,6 +348,38 @@ def change_of(found: Histories, k: int) -> Document:
         "effects": None if changed else [],
         "says": difference_in_words(found.changes.figures, k, verdict),
     }
+
+
+def change_verdict(p_value: float | None, *, changed: bool) -> ChangeVerdict:
+    """Return the verdict of a test for a change; without a p-value none was made."""
+    if p_value is None:
+        return "not_known"
+    return "changed" if changed else "unchanged"
+
+
+def gyro_difference(before: Gyro | None, after: Gyro | None) -> Document | None:
+    """Return the gyro figures of a run less those of the run before; None without figures of both."""
+    if before is None or after is None:
+        return None
+    bias = [_less(*both) for both in zip(before.bias_dps, after.bias_dps, strict=True)]
+    scale = _less(before.scale, after.scale)
+    if scale is None and not any(one is not None for one in bias):
+        return None
+    stds = zip(before.bias_std_dps, after.bias_std_dps, strict=True)
+    return {
+        "bias_dps": bias,
+        "bias_std_dps": [_both(*both) for both in stds],
+        "scale": scale,
+        "scale_std": _both(before.scale_std, after.scale_std),
+    }
+
+
+def _less(before: float | None, after: float | None) -> float | None:
+    return None if before is None or after is None else after - before
+
+
+def _both(before: float | None, after: float | None) -> float | None:
+    return None if before is None or after is None else math.hypot(before, after)
 
 
 def charts(found: Histories, serial: str) -> list[ControlChart | None]:

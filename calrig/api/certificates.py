@@ -29,6 +29,18 @@ class NewCertificate(Body):
     reason: Annotated[str, Field(max_length=1000)] | None = None
 
 
+class StatedSettings(Model):
+    """What the laboratory's settings were, as far as certificates state them."""
+
+    name: str | None = None
+    address: str | None = None
+    place: str | None = None
+    accreditation: str | None = None
+    decision_rule: str | None = None
+    authorised_by: str | None = None
+    country: str | None = None
+
+
 class CertificateAnswer(Model):
     """A certificate that was issued; its bytes are at `/api/certificates/{number}`."""
 
@@ -43,6 +55,7 @@ class CertificateAnswer(Model):
     sha256: dict[Literal["pdf", "dcc", "json"], str | None] = Field(
         description="Of the bytes served; `pdf` null where none could be made."
     )
+    settings: StatedSettings = Field(description="Of the laboratory, when it was issued.")
     trail_seq: int = Field(description="Number of the newest entry of the trail when it was issued.")
     trail_sha256: str
 

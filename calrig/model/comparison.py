@@ -11,10 +11,25 @@ from calrig.model.base import Model
 from calrig.model.diagnosis import EffectFound
 from calrig.model.result import Extremes, FittedLine
 from calrig.model.run import Suspect
+from calrig.model.verdict import Answer, Left
+
+ChangeVerdict = Literal["changed", "unchanged", "not_known"]
+
+
+class GyroDifference(Model):
+    """A run's gyro figures less those of the run before; `…_std` are of the noise of both runs alone.
+
+    They are no part of the test for changes: the bias of a gyro drifts with time and temperature.
+    """
+
+    bias_dps: list[float | None] = Field(min_length=3, max_length=3, description="Of x, y and z.")
+    bias_std_dps: list[float | None] = Field(min_length=3, max_length=3)
+    scale: float | None
+    scale_std: float | None
 
 
 class Difference(Model):
-    """A run less the one before it; `…_sigma` are differences over their standard uncertainties.
+    """A run less the one before it, by plain fits; `…_sigma` are differences over standard uncertainties.
 
     The uncertainty contains the standard errors of both runs, the remounting and between-day components
     (pooled over all units) and, from rig to rig, the uncertainty of the stages. `p_value` and the other
@@ -30,8 +45,9 @@ class Difference(Model):
     scale: float | None
     scale_std: float | None
     scale_sigma: float | None
+    rms_deg: float | None = Field(description="Of the RMS error after the plain fit of bias and scale.")
     p_value: float | None
-    verdict: Literal["changed", "unchanged", "not_known"]
+    verdict: ChangeVerdict
     effects: list[EffectFound] | None = Field(
         description="Effects that changed, by the diagnosis of both runs together: null without one."
     )
@@ -39,8 +55,12 @@ class Difference(Model):
 
 
 class Change(Difference):
-    """A difference, and whether the unit's control chart signals at the later run (null without a chart)."""
+    """A difference with the gyro's, and whether the unit's control chart signals at the later run.
 
+    `signal` is null without a chart, `gyro` where one of the runs has no gyro figures.
+    """
+
+    gyro: GyroDifference | None
     signal: bool | None
 
 
@@ -65,12 +85,15 @@ class InForce(Model):
     scale_std: float | None
     rms_deg: float | None = Field(description="Of the residual after its effects.")
     effects: list[str]
+    answer: Answer | Literal["no_limits"] = Field(description="Of its verdict, as issued.")
+    left: Left | None = Field(description="Of its verdict, as issued.")
 
 
 class ComparedUnit(Model):
     """A unit's calibrations by their plain fits, the oldest first, what is in force, and whether it changed.
 
-    `p_value` is that of the unit over all its runs, `change` its most significant difference.
+    `p_value` is that of the unit over all its runs, `change` its most significant difference, `verdict`
+    whether it changed: `not_known` of a unit with one run.
     """
 
     unit: str
@@ -79,6 +102,7 @@ class ComparedUnit(Model):
     drift_deg_per_day: float | None
     p_value: float | None
     changed: bool
+    verdict: ChangeVerdict
     change: Difference | None
     due_at: datetime | None
     overdue: bool

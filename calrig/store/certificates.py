@@ -11,6 +11,7 @@ from sqlalchemy import ColumnElement
 from sqlalchemy.orm import defer
 from sqlmodel import col, select
 
+from calrig.laboratory import LaboratorySettings
 from calrig.model.calibration import RevisionStatus
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
@@ -19,6 +20,8 @@ from calrig.store.tables import CertificateTable, IssuedCalibrationTable
 from calrig.store.trail import Act, append
 
 Form = Literal["pdf", "dcc"]
+STATED = (*LaboratorySettings().as_stated(), "country")
+"""Of the settings, what the trail keeps; paths of files and keys are no part of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +85,12 @@ class Certificates(Repository):
                     raise Refused(f"certificate {before.number} was replaced by {by}: replace that one")
             session.add(CertificateTable(**said, pdf=pdf, dcc=dcc))
             session.flush()
-            detail = {"number": issued.number, "sha256": issued.sha256, "replaces": issued.replaces}
+            detail = {
+                "number": issued.number,
+                "sha256": issued.sha256,
+                "replaces": issued.replaces,
+                "settings": {name: issued.settings.get(name) for name in STATED},
+            }
             act = Act(
                 "certificate_issued",
                 who=issued.issued_by,

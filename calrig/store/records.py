@@ -46,7 +46,10 @@ class Run(calrig.model.run.Run):
         if self.result is None:
             return None
         how = how_judged(self.plan, self.faults)
-        return make_verdict(self.result, self.diagnosis, limit=self.limit, **how)
+        judged = make_verdict(self.result, self.diagnosis, limit=self.limit, **how)
+        if self.calibration is None or self.calibration.status == "in_force":
+            return judged
+        return replace(judged, says=(*judged.says, self.calibration.says))
 
 
 class HowJudged(TypedDict):

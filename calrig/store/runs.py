@@ -17,7 +17,7 @@ from sqlmodel import Session, and_, col, func, insert, literal, or_, select, tup
 
 from calrig.calibration.poses import Pose
 from calrig.model.plan import CALIBRATING
-from calrig.model.result import Result
+from calrig.model.result import Gyro, Result
 from calrig.model.run import TERMINAL, UNFINISHED, Progress, Status
 from calrig.run_ids import is_uuid, new_run_id
 from calrig.store import checksums, event_log, issued, trail
@@ -358,6 +358,20 @@ class Runs(Repository):
                     reference = (result or {}).get("reference")
                     if reference is not None:
                         found[run_id] = (reference["bias_std_deg"], reference["scale_std"])
+        return found
+
+    def gyros(self, run_ids: Sequence[str]) -> dict[str, Gyro]:
+        """What runs with a result say of the gyro, by run."""
+        found: dict[str, Gyro] = {}
+        with self._database.reading() as session:
+            for begin in range(0, len(run_ids), IDS_AT_ONCE):
+                some = run_ids[begin : begin + IDS_AT_ONCE]
+                wanted = select(RunTable.uid, RunTable.result).where(col(RunTable.uid).in_(some))
+                found |= {
+                    run_id: Gyro.model_validate(result["gyro"])
+                    for run_id, result in session.exec(wanted)
+                    if result is not None
+                }
         return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from dated_runs import at, gave, lay, ran
 from prometheus_client.parser import text_string_to_metric_families
-from support import running_service, serving
+from support import imported, running_service, serving
 
 from calrig.store import Store
 from calrig.store.tables import CheckUnitTable
@@ -41,6 +41,41 @@ def test_changes_are_those_of_the_contract(told):
     assert "Scale moved by" in change["says"]
     assert {one["verdict"] for one in told.get("/api/units/U1/changes").json()} == {"unchanged"}
     assert told.get("/api/units/nope/changes").status_code == 404
+
+
+def test_a_change_has_the_differences_of_rms_error_and_gyro(rig, store_path):
+    gyros = [
+        {"bias_dps": [0.1, 0.2, None], "bias_std_dps": [0.03, 0.03, None], "scale": 1.0, "scale_std": 0.003},
+        {"bias_dps": [0.4, 0.1, 0.5], "bias_std_dps": [0.04, 0.04, 0.04], "scale": 1.02, "scale_std": 0.004},
+    ]
+    runs = [
+        ("G", 10.0 * k, gave(0.8, 1.0, gyro=gyro, rms_calibrated_deg=0.01 + 0.02 * k), {})
+        for k, gyro in enumerate([*gyros, gave()["gyro"]])
+    ]
+    with running_service(store_path, rig) as service, serving(service) as client:
+        lay(service.store, *runs)
+        first, second = client.get("/api/units/G/changes").raise_for_status().json()
+    assert (first["rms_deg"], second["rms_deg"]) == pytest.approx((0.02, 0.02))
+    gyro = first["gyro"]
+    assert gyro["bias_dps"][:2] == pytest.approx([0.3, -0.1]) and gyro["bias_dps"][2] is None
+    assert gyro["bias_std_dps"][:2] == pytest.approx([0.05, 0.05]) and gyro["bias_std_dps"][2] is None
+    assert (gyro["scale"], gyro["scale_std"]) == pytest.approx((0.02, 0.005))
+    assert second["gyro"] is None, "the last run has no gyro figures"
+
+
+def test_every_unit_compared_has_a_verdict_those_with_one_run_too(rig, store_path):
+    with running_service(store_path, rig) as service, serving(service) as client:
+        fill(service.store)
+        run = imported(client, "ONCE")
+        client.post("/api/units/ONCE/calibrations/1/release", json={"reason": "a test"})
+        units = {one["unit"]: one for one in client.get("/api/compare").raise_for_status().json()["units"]}
+    assert {serial: one["verdict"] for serial, one in units.items()} == {
+        "MOVED": "changed",
+        "ONCE": "not_known",
+        **dict.fromkeys([f"U{k}" for k in range(5)], "unchanged"),
+    }
+    in_force = units["ONCE"]["in_force"]
+    assert (in_force["answer"], in_force["left"]) == (run["verdict"]["answer"], run["verdict"]["left"])
 
 
 def test_a_get_of_changes_changes_nothing(told):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -85,6 +86,7 @@ def test_a_certificate_stays_as_it_was_issued_whatever_the_laboratory_is_called_
     inside = pypdf.PdfReader(io.BytesIO(before["pdf"])).attachments
     assert inside["certificate.xml"] == [before["dcc"]] and inside["calibration.json"] == [before["json"]]
 
+    assert (one["settings"]["name"], one["settings"]["authorised_by"]) == ("First laboratory", "Ada")
     client.put(f"/api/units/{UNIT}/item", json={"customer": "Another customer"}).raise_for_status()
     with serving(service, laboratory=LaboratorySettings(name="Second laboratory")) as renamed:
         assert served(renamed, one["number"]) == before
@@ -235,6 +237,10 @@ def test_the_archive_has_it_byte_for_byte(lab) -> None:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert archive.read(f"certificates/{one['number']}.pdf") == kept["pdf"]
         assert archive.read(f"certificates/{one['number']}.xml") == kept["dcc"]
+        entries = [json.loads(line) for line in archive.read("trail.jsonl").splitlines()]
+    (entry,) = [one for one in entries if one["what"] == "certificate_issued"]
+    assert entry["detail"]["settings"] == one["settings"]
+    assert "signing_key" not in one["settings"]
 
 
 def test_bytes_that_were_changed_are_not_served(lab) -> None:

@@ -120,6 +120,7 @@ def test_a_stage_that_sets_each_pose_anew_may_account_for_it(std_deg, explains):
     judged = make_verdict(one)
     assert judged.left == "more_than_noise"
     assert any("setting uncertainty" in sentence for sentence in judged.says) == explains
+    assert any("cause is not known" in sentence for sentence in judged.says) is not explains
 
 
 @pytest.mark.parametrize(("n", "stderr_deg"), [(26, None), (2, NOISE_DEG), (1, NOISE_DEG)])

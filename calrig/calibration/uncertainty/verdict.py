@@ -80,6 +80,7 @@ def make_verdict(
     doubts = doubts_of(result, move_mismatches=move_mismatches, verification=verification)
     tested = None if limit is None else _test(limit, result, calibration, relied_on=not doubts)
     verified = result.verified if verification else None
+    of_stage = _of_the_stage(result, freedom, left)
     says = [
         *_outside(verified),
         *(one.says for one in doubts),
@@ -87,9 +88,9 @@ def make_verdict(
         *(() if tested is None else tested.says),
         *_left_in_words(left, ratio, bound, freedom, verified, alone=tested is None),
         _before_and_after(result, verification=verification, of_one_run=_is_solved(calibration)),
-        *_of_the_stage(result, freedom, left),
+        *of_stage,
         *([result.reference_says] if result.reference_says else []),
-        *_diagnosed(diagnosis, left),
+        *([] if of_stage and diagnosis is None else _diagnosed(diagnosis, left)),
         *([] if verification else _scale(result)),
     ]
     if result.n_poses < FEW_POSES:

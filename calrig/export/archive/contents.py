@@ -291,11 +291,15 @@ def _spans(indices: Sequence[int]) -> list[list[int]]:
     return spans
 
 
+_OF_ANSWERS = {"suspect", "calibration"}
+"""Of a run, what only an answer of the API has."""
+
+
 def _run_document(run: Run) -> Document:
     verdict = run.verdict
     names = ["id", "unit", "rig", "status", "plan", *type(run).model_fields]  # in the order of every archive
     return {
-        **{name: getattr(run, name) for name in dict.fromkeys(names) if name != "suspect"},
+        **{name: getattr(run, name) for name in dict.fromkeys(names) if name not in _OF_ANSWERS},
         "limit": None if run.limit is None else run.limit.model_dump(mode="json"),
         "verdict": None if verdict is None else verdict.to_dict(),
     }
