@@ -44,7 +44,8 @@ def joint_of_accepting(
     try:
         found, growths = fits(partial(_fitted, asked, effects, as_applied(in_force), len(earlier)))
     except DiagnosisError as error:
-        raise Conflict(f"the effects cannot be fitted together with those in force: {error}") from error
+        with_others = " together with those in force" if before else ""
+        raise Conflict(f"the effects cannot be fitted{with_others}: {error}") from error
     for one in growths:
         if one.is_too_large:
             others = [run.id for run in ordered if run.id != one.run_id]
