@@ -41,15 +41,18 @@ def joint_of_accepting(
     ordered = [*earlier, *(run for run in runs if run.id not in {one.id for one in earlier})]
     effects = _effects(together)
     asked = [_run_of(store, run, [*together, *added]) for run in ordered]
+    is_needed = _is_needed(store, together)
     try:
         found, growths = fits(partial(_fitted, asked, effects, as_applied(in_force), len(earlier)))
     except DiagnosisError as error:
+        if not is_needed:  # too few poses count since the diagnosis, whose values stand
+            return []
         raise Conflict(f"the effects cannot be fitted together with those in force: {error}") from error
     for one in growths:
         if one.is_too_large:
             others = [run.id for run in ordered if run.id != one.run_id]
             raise Conflict(_too_large(one, others))
-    return _accepted(together, runs, found) if _is_needed(store, together) else []
+    return _accepted(together, runs, found) if is_needed else []
 
 
 def _too_large(growth: Growth, others: Sequence[str]) -> str:

@@ -174,7 +174,8 @@ def _all_directions(document: Mapping[str, Any], values: Mapping[str, Mapping[st
 
 def _over_range(document: Mapping[str, Any], values: Mapping[str, Mapping[str, float]]) -> Curves:
     """Return the curves over the calibrated elevations about x, at which the sensor is at bias + scale·θ."""
-    theta_deg = np.linspace(*(document.get("range_deg") or (-180.0, 180.0)), GRID)
+    low_deg, high_deg = document.get("range_deg") or (-180.0, 180.0)
+    theta_deg = np.linspace(low_deg, high_deg, GRID)
     felt_deg = felt_elevation_deg(theta_deg, document.get("bias_deg") or 0.0, document.get("scale"))
     s, c = np.sin(np.radians(felt_deg)), np.cos(np.radians(felt_deg))
     skew = math.sin(math.radians(values.get("axis_nonlinearity", {}).get("skew_deg", 0.0)))

@@ -165,7 +165,7 @@ def _gaps_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> list
 
 SEATS_SAY = (
     "In each mount, the unit's x axis must lie along the stage's axis to 0.5°: `accel_x` is not used. If "
-    "seats are askew by 2°, two stated standard deviations cover about SHARE % instead of 95 %."
+    "seats are askew by 2°, two stated standard deviations cover about 86 % instead of 95 %."
 )
 """Counted by `python -m tests.studies.joint.beyond`."""
 FEW_ANGLES = 30

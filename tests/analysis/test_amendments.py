@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -18,7 +19,16 @@ from calrig.plan import Plan
 from calrig.store import Run, Store
 from calrig.store.errors import NotFound, Refused
 
-POSES = [Pose(theta, 0.5 + 1.01 * theta + 0.02 * (-1) ** k) for k, theta in enumerate(range(-60, 61, 10))]
+Z_MG = 60.0
+
+
+def sensed_deg(theta_deg: float) -> float:
+    """What a sensor whose z has an offset reads."""
+    felt = math.radians(0.5 + 1.01 * theta_deg)
+    return math.degrees(math.atan2(math.sin(felt), math.cos(felt) + 1e-3 * Z_MG))
+
+
+POSES = [Pose(theta, sensed_deg(theta) + 0.02 * (-1) ** k) for k, theta in enumerate(range(-60, 61, 10))]
 
 
 @pytest.fixture
@@ -253,12 +263,14 @@ class TestTakenBack:
         self, new_run: Callable[..., Run], store: Store
     ) -> None:
         acceptance = Acceptance(store)
-        again = [replace(pose, reading_deg=1.0 + 2.02 * pose.target_deg - pose.reading_deg) for pose in POSES]
+        again = [
+            replace(pose, reading_deg=pose.reading_deg - 0.04 * (-1) ** k) for k, pose in enumerate(POSES)
+        ]
         first, second = diagnosed(store, new_run(), 3.0), diagnosed(store, new_run(poses=again), 6.0)
         acceptance.accept(first.id, [OFFSET])
         before = store.runs.set_result(second.id, refitted(store, store.runs.get(second.id), again))
         accepted = acceptance.accept(second.id, [OFFSET], who="ada")
-        assert in_force(store) == {OFFSET: pytest.approx(0.0, abs=1e-6)}, "as the poses of both have it"
+        assert in_force(store) == {OFFSET: pytest.approx(Z_MG, abs=1.0)}, "as the poses of both have it"
         assert accepted.diagnosis is not None
         assert accepted.diagnosis["effects"][0]["accepted_at"] is not None
 

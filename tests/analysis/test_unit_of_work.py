@@ -162,7 +162,7 @@ class TestMending:
         Acceptance(store).take_back(run.id, [WARMTH], WHY)
 
     def test_a_withdrawal_after_which_the_run_shows_effects_is_completed(self, store: Store) -> None:
-        run = diagnosed_run(store, measured(np.random.default_rng(3), FIRST_C), WARMTH)
+        run = diagnosed_run(store, measured(np.random.default_rng(3), FIRST_C), OFFSET, WARMTH)
         Acceptance(store).accept(run.id, [WARMTH])
         store.effects.revoke(run.id, [WARMTH], WHY)
         assert len(mend(store, Issuer(store))) == 2

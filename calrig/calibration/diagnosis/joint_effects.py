@@ -279,8 +279,8 @@ def _problem(runs: Sequence[RunOfEffects], effects: Sequence[AppliedEffect]) -> 
         covariate = ELEVATION if name == UNNAMED else effect_of(name).covariate
         options = documented_forms(r, name, covariate.name, parameters)
         if not options:
-            listed = " and ".join(r.run_ids)
-            raise DiagnosisError(f"the poses of run {listed} together cannot show {name}")
+            listed = " and ".join(r.run_ids) + (" together" if len(r.run_ids) > 1 else "")
+            raise DiagnosisError(f"the poses of run {listed} cannot show {name}")
         if not any(_is_same(r, one, options[0]) for one, *_ in forms):
             forms.append(options)
     names = {name for name, _ in effects}
