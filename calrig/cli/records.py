@@ -15,6 +15,7 @@ from calrig.cli.running_service import running_service
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
+    from calrig.calibration.regression import AssumedReference
     from calrig.client import Client, Run
     from calrig.model.result import StatedKind
 
@@ -42,6 +43,13 @@ def import_(
             "(the default), or common to all poses."
         ),
     ] = None,
+    reference: Annotated[
+        Literal["good", "stage"] | None,
+        typer.Option(
+            help="Whose error it is in its diagnoses. good: the reference does not err, so curves of the "
+            "angle are the sensor's. stage: they may be the stage's. Default: as the rig says, else stage.",
+        ),
+    ] = None,
     db: Db = None,
     server: Server = None,
 ) -> None:
@@ -59,7 +67,7 @@ def import_(
     if there is not None:
         from calrig.cli.output import print_says
 
-        record = _imported_there(there, file, unit, rig, reference_std, reference_kind).record
+        record = _imported_there(there, file, unit, rig, reference_std, reference_kind, reference).record
         typer.echo(record.id)
         print_says(record.verdict.says if record.verdict else ())
         return
@@ -88,7 +96,7 @@ def import_(
                 rig=rig,
                 file_name=name,
                 content=content,
-                origin=ImportOrigin.of(rig, settings.rig, reference_std, reference_kind),
+                origin=ImportOrigin.of(rig, settings.rig, reference_std, reference_kind, reference),
                 progress=told,
             )
     typer.echo(made.id)
@@ -103,6 +111,7 @@ def _imported_there(
     rig: str | None,
     reference_std_deg: float | None,
     reference_kind: StatedKind | None,
+    reference: AssumedReference | None,
 ) -> Run:
     from calrig.cli.progress import late_bars
 
@@ -114,6 +123,7 @@ def _imported_there(
             rig=rig,
             reference_std_deg=reference_std_deg,
             reference_kind=reference_kind,
+            reference=reference,
             sent=sent,
             told=told,
         )

@@ -152,6 +152,7 @@ class Client(Transport):
         rig: str | None = None,
         reference_std_deg: float | None = None,
         reference_kind: StatedKind | None = None,
+        reference: Literal["good", "stage"] | None = None,
         sent: Told = ignore_progress,
         told: Told = ignore_progress,
     ) -> Run:
@@ -164,6 +165,8 @@ class Client(Transport):
             reference_std_deg: standard uncertainty of the reference angles; None for the file's, else the
                 rig's.
             reference_kind: how its error is shared among poses; None for `harmonic`.
+            reference: what diagnoses of the run assume: `good`, the reference does not err; None for what
+                its rig says.
             sent: is told the share that is sent.
             told: is told the share that is read.
 
@@ -171,7 +174,9 @@ class Client(Transport):
             Invalid: the file is no such CSV; says line and column.
         """
         std = None if reference_std_deg is None else repr(reference_std_deg)
-        fields = _given(unit=unit, rig=rig, reference_std_deg=std, reference_kind=reference_kind)
+        fields = _given(
+            unit=unit, rig=rig, reference_std_deg=std, reference_kind=reference_kind, reference=reference
+        )
         return Run(self, typed(RunRecord, self._of_file("/api/imports", file, fields, sent, told)))
 
     def noise(
