@@ -11,6 +11,7 @@ from typing import Any
 import calrig
 from calrig.analysis.errors import Invalid
 from calrig.analysis.results import as_applied
+from calrig.calibration.regression import ASSUMED, AssumedReference
 from calrig.calibration.results import FittedResult, build_result
 from calrig.export.calibration_document import calibration_content
 from calrig.export.poses_csv import FileReference, PoseColumns, read_run
@@ -30,11 +31,13 @@ class ImportOrigin:
         rig: name; None if none is known.
         of_rig: that the rig's configuration states; None without such a rig or statement.
         stated: for this import; takes precedence over the file's columns, and these over the rig's.
+        assumed: whether the reference may err, as stated for this import; None for what its rig says.
     """
 
     rig: str | None = None
     of_rig: ReferenceSettings | None = None
     stated: ReferenceSettings | None = None
+    assumed: AssumedReference | None = None
 
     @classmethod
     def of(
@@ -44,6 +47,7 @@ class ImportOrigin:
         std_deg: float | None = None,
         kind: StatedKind | None = None,
         certificate: str | None = None,
+        assumed: AssumedReference | None = None,
     ) -> ImportOrigin:
         """Return the origin as requested, with the reference of a configured rig of this name.
 
@@ -53,6 +57,7 @@ class ImportOrigin:
             std_deg: stated standard uncertainty of the reference, degrees.
             kind: how its error is shared among poses; None for the usual one.
             certificate: that the uncertainty is taken from.
+            assumed: whether it may err (`good`: it does not); None for what the rig says.
 
         Raises:
             Invalid: the uncertainty is out of its bounds, or a kind or a certificate is stated without it.
@@ -68,7 +73,8 @@ class ImportOrigin:
             said = f"reference_std_deg is {std_deg:g}, not above 0 and at most {MOST_REFERENCE_STD_DEG:g}"
             raise Invalid(said, ["reference_std_deg"])
         of_rig = next((one.reference for one in configured if one.name == rig), None)
-        return cls(rig, of_rig, None if std_deg is None else _settings(std_deg, kind, certificate))
+        stated = None if std_deg is None else _settings(std_deg, kind, certificate)
+        return cls(rig, of_rig, stated, assumed)
 
     def reference(self, of_file: FileReference | None) -> tuple[ReferenceSettings | None, list[str]]:
         """Return the reference that counts, and a warning if the file states another one."""
@@ -139,6 +145,8 @@ def read_and_fit(
     stated: Document = {}
     if settings is not None and settings.std_deg is not None:  # a map is of the rig's own runs alone
         stated = {"rig": {"name": origin.rig, "reference": settings.model_dump(mode="json")}}
+    if origin.assumed is not None:
+        stated[ASSUMED] = origin.assumed
     if axis != "x":
         return Imported(columns, axis, warnings, None, None, accepted, stated)
     poses, reference = columns[:], reference_of(stated)

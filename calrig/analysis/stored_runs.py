@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.calibration.diagnosis import Findings, diagnose
 from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose
-from calrig.calibration.regression import AssumedReference, DiagnosisRequest
+from calrig.calibration.regression import ASSUMED, AssumedReference, DiagnosisRequest
 from calrig.export.poses_csv import Labels
 from calrig.model.run import AT_REST
 from calrig.processes.pool import run_in_subprocess
@@ -98,7 +98,7 @@ def request_of(
     reference: AssumedReference | None = None,
     periods_deg: Sequence[float] = (),
 ) -> DiagnosisRequest:
-    """What a diagnosis of a run assumes: as asked, else as its rig says.
+    """What a diagnosis of a run assumes: as asked, else as its import stated, else as its rig says.
 
     Args:
         run: the run.
@@ -113,7 +113,9 @@ def request_of(
     of_stage = stated.get("reference") or {}
     usual: AssumedReference = "good" if of_stage.get("good") else "stage"
     known_deg = (*stated.get("periods_deg", ()), *periods_deg)
-    return DiagnosisRequest(reference or usual, known_deg, of_stage.get("std_deg"))
+    return DiagnosisRequest(
+        reference or run.provenance.get(ASSUMED) or usual, known_deg, of_stage.get("std_deg")
+    )
 
 
 def last_request(run: Run) -> DiagnosisRequest:

@@ -15,6 +15,7 @@ from calrig.api.errors import problems
 from calrig.api.job import Job
 from calrig.api.jobs import ACCEPTED, Heavy, Wait
 from calrig.api.models import RunAnswer
+from calrig.calibration.regression import AssumedReference
 from calrig.export.csv_errors import CsvError
 from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
 from calrig.settings import RigSettings
@@ -55,6 +56,12 @@ async def import_poses(
         str | None,
         Form(min_length=1, max_length=100, description="Certificate that the uncertainty is from."),
     ] = None,
+    reference: Annotated[
+        AssumedReference | None,
+        Form(
+            description="What its diagnoses assume: `good`, the reference does not err; else as the rig says."
+        ),
+    ] = None,
     wait: Wait = True,
 ) -> Any:
     """A bad file is 422, names line and column, and stores nothing.
@@ -67,7 +74,9 @@ async def import_poses(
     if rig is not None:
         with suppress(Unknown):  # a rig of elsewhere is only a name
             configured.append(await run_in_threadpool(context.service.known_rig, rig))
-    origin = ImportOrigin.of(rig, configured, reference_std_deg, reference_kind, reference_certificate)
+    origin = ImportOrigin.of(
+        rig, configured, reference_std_deg, reference_kind, reference_certificate, reference
+    )
 
     async def work(job: Job) -> Run:
         async with on_disk(copied(file)) as path:

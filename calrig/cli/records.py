@@ -15,6 +15,7 @@ from calrig.cli.running_service import running_service
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
+    from calrig.calibration.regression import AssumedReference
     from calrig.client import Client, Run
     from calrig.model.result import StatedKind
 
@@ -46,6 +47,13 @@ def import_(
         str | None,
         typer.Option(metavar="NUMBER", help="Certificate that the uncertainty of --reference-std is from."),
     ] = None,
+    reference: Annotated[
+        Literal["good", "stage"] | None,
+        typer.Option(
+            help="Whose error it is in its diagnoses. good: the reference does not err, so curves of the "
+            "angle are the sensor's. stage: they may be the stage's. Default: as the rig says, else stage.",
+        ),
+    ] = None,
     db: Db = None,
     server: Server = None,
 ) -> None:
@@ -65,7 +73,7 @@ def import_(
     if there is not None:
         from calrig.cli.output import print_says
 
-        of_reference = (reference_std, reference_kind, reference_certificate)
+        of_reference = (reference_std, reference_kind, reference_certificate, reference)
         record = _imported_there(there, file, unit, rig, *of_reference).record
         typer.echo(record.id)
         print_says(record.verdict.says if record.verdict else ())
@@ -96,7 +104,7 @@ def import_(
                 file_name=name,
                 content=content,
                 origin=ImportOrigin.of(
-                    rig, settings.rig, reference_std, reference_kind, reference_certificate
+                    rig, settings.rig, reference_std, reference_kind, reference_certificate, reference
                 ),
                 progress=told,
             )
@@ -113,6 +121,7 @@ def _imported_there(
     reference_std_deg: float | None,
     reference_kind: StatedKind | None,
     reference_certificate: str | None,
+    reference: AssumedReference | None,
 ) -> Run:
     from calrig.cli.progress import late_bars
 
@@ -125,6 +134,7 @@ def _imported_there(
             reference_std_deg=reference_std_deg,
             reference_kind=reference_kind,
             reference_certificate=reference_certificate,
+            reference=reference,
             sent=sent,
             told=told,
         )

@@ -17,6 +17,7 @@ from calrig.cli.output import number, print_line, print_parameter, print_table, 
 from calrig.cli.progress import late_bar
 from calrig.cli.running_service import running_service, whole_id_there
 from calrig.errors import InputError, WorkError
+from calrig.estimation.angle_text import angle_text
 
 if TYPE_CHECKING:
     from calrig.analysis.solutions import SolutionInputs, SolutionRequest
@@ -242,7 +243,7 @@ def _print_stage(found: SolutionDocument) -> None:
     """Print the stage map, the errors before and after, and warnings."""
     error = [value for value in found.stage.map.error_deg if value is not None]
     orders = len(found.stage.harmonics)
-    print_line(f"map of the stage: {min(error):+.3f}° to {max(error):+.3f}°, {orders} orders")
+    print_line(f"map of the stage: {_signed(min(error))} to {_signed(max(error))}, {orders} orders")
     for name in ("axis_dip_deg", "backlash_deg"):
         print_parameter(name, getattr(found.stage, name, None))
     before, after = (number(one.held_out_rms_deg, "°") for one in (found.before, found.final))
@@ -254,7 +255,11 @@ def _measurand(unit: SolvedUnit) -> str:
     level = (unit["level"] or {"deg": {"std": None}})["deg"]
     if level["std"] is None:
         return ", less its mean"
-    return f"; its level {level['value']:+.3f}° ± {level['std']:.2g}° is in it"
+    return f"; its level {_signed(level['value'], level['std'])} is in it"
+
+
+def _signed(value_deg: float, std_deg: float | None = None) -> str:
+    return ("+" if value_deg > 0.0 else "") + angle_text(value_deg, std_deg=std_deg)
 
 
 def _with_std(parameter: SolvedValue, unit: str) -> tuple[str, str]:
@@ -294,7 +299,7 @@ def _print_accelerometer(unit: SolvedUnit) -> None:
             axis,
             _with(1e3 * found["bias_g"][k], 1e3 * stds[k], 2),
             *(_with(found["matrix"][k][m], stds[3 + 3 * k + m], 5) for m in range(3)),
-            f"{unit['noise_mg'][k]:.2f}",
+            f"{unit['noise_mg'][k]:.3g}",
         )
         for k, axis in enumerate(AXES)
     )
@@ -329,8 +334,11 @@ def _print_gyro(found: dict[str, Any]) -> None:
 
 
 def _with(value: float | None, std: float | None, decimals: int) -> str:
+    """Return a value with two digits of its standard error, or with some decimals where it has none."""
     if value is None:
         return "not known"
+    if std:
+        decimals = max(0, 1 - math.floor(math.log10(std)))
     return f"{value:.{decimals}f}" + ("" if not std else f" ± {std:.2g}")
 
 

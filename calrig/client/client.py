@@ -153,6 +153,7 @@ class Client(Transport):
         reference_std_deg: float | None = None,
         reference_kind: StatedKind | None = None,
         reference_certificate: str | None = None,
+        reference: Literal["good", "stage"] | None = None,
         sent: Told = ignore_progress,
         told: Told = ignore_progress,
     ) -> Run:
@@ -166,6 +167,8 @@ class Client(Transport):
                 rig's.
             reference_kind: how its error is shared among poses; None for `harmonic`.
             reference_certificate: number of the certificate that its uncertainty is from.
+            reference: what diagnoses of the run assume: `good`, the reference does not err; None for what
+                its rig says.
             sent: is told the share that is sent.
             told: is told the share that is read.
 
@@ -179,6 +182,7 @@ class Client(Transport):
             reference_std_deg=std,
             reference_kind=reference_kind,
             reference_certificate=reference_certificate,
+            reference=reference,
         )
         return Run(self, typed(RunRecord, self._of_file("/api/imports", file, fields, sent, told)))
 

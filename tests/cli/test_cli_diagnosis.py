@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
 from command_line import calrig, reason
+from support import serving
 
 
 @pytest.fixture
@@ -141,3 +143,28 @@ def test_what_was_assumed_is_in_the_document_and_the_residuals_are_drawn(warming
     found = json.loads(calrig("diagnose", warming, "--json", *asked).stdout)
     assert (found["reference"], found["known_periods_deg"]) == ("good", [7.2, 30.0])
     assert "Bias and scale, by angle" in (folder / "left.html").read_text()
+
+
+def test_a_figure_as_png_is_drawn_by_a_browser_where_there_is_one(warming, folder):
+    pytest.importorskip("kaleido", reason="the extra calrig[png] is not installed")
+    if not any(map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))):
+        pytest.skip("no browser that kaleido could draw with is installed")
+    calrig("diagnose", warming, "--plot", "left.png")
+    assert (folder / "left.png").read_bytes().startswith(b"\x89PNG\r\n")
+
+
+def assert_an_import_may_state_that_its_reference_is_good(file):
+    run_id = calrig("import", file, "--unit", "A", "--reference", "good").stdout.strip()
+    assert json.loads(calrig("diagnose", run_id, "--json").stdout)["reference"] == "good"
+    asked = calrig("diagnose", run_id, "--json", "--reference", "stage").stdout
+    assert json.loads(asked)["reference"] == "stage"
+
+
+def test_diagnoses_of_an_import_assume_what_it_stated_unless_asked_otherwise(warming):
+    assert_an_import_may_state_that_its_reference_is_good(warming)
+
+
+def test_a_service_keeps_what_an_import_stated_of_its_reference(warming, service, monkeypatch):
+    with serving(service) as client:
+        monkeypatch.setenv("CALRIG_SERVER", str(client.base_url))
+        assert_an_import_may_state_that_its_reference_is_good(warming)

@@ -122,6 +122,10 @@ class Candidate:
         """Return whether it is the sensor's only because the reference of these poses is good."""
         return self.effect.is_of_sensor(self.covariate, reference_is_good=r.reference_is_good)
 
+    def words_in(self, r: Responses) -> str:
+        """Return its title inside a sentence, as what it is in these poses."""
+        return self.effect.words_of("sensor" if self.is_of_sensor(r) else self.effect.origin)
+
     def is_smooth_of_sensor(self, r: Responses) -> bool:
         """Return whether it is a smooth or periodic term of the angle that belongs to the sensor."""
         if self.covariate != ELEVATION.name or not r.reference_is_good:

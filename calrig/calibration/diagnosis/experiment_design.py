@@ -17,9 +17,10 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, rebuilt
 from calrig.calibration.diagnosis.ranking import SAME, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
-from calrig.calibration.effects import EFFECTS, covariate_of
+from calrig.calibration.effects import covariate_of
 from calrig.calibration.poses import Pose, without_unused
 from calrig.calibration.progress import Progress, unheard
+from calrig.calibration.regression.channels import ANGLE
 from calrig.calibration.regression.effect import TEMPERATURE
 from calrig.calibration.regression.noise_model import NoiseModel, fit, stacked
 from calrig.calibration.regression.responses import Responses, responses_of
@@ -140,13 +141,15 @@ def design(
             separation, chosen, sweeps, wait_s = waiting, spread, 2, waited_s
     names = trial.names
     if separation < LEAST_SEPARATION:
+        r = findings.responses
         by_hand = COOL_THE_UNIT if TEMPERATURE.name in trial.covariates else TURN_THE_UNIT
-        if findings.responses.reference_is_good and by_hand is TURN_THE_UNIT:
+        has_unit = ANGLE in r.channels and not r.reference_is_good  # an encoder has no face to be turned on
+        if by_hand is TURN_THE_UNIT and not has_unit:
             by_hand = OTHER_PLACES
-        suspected = " from ".join(EFFECTS[name].words for name in names)
+        suspected = " from ".join(dict.fromkeys(one.words_in(r) for one in trial.separable()))
         return (
-            f"a further run of {MOST_POSES} poses on this rig cannot separate {suspected}: expected −2 log "
-            f"likelihood between them {separation:.1f}, required {LEAST_SEPARATION:g}; {by_hand}"
+            f"a further run of {MOST_POSES} poses cannot separate {suspected}: expected −2 log likelihood "
+            f"between them {separation:.1f}, required {LEAST_SEPARATION:g}; {by_hand}"
         )
     elevations = (*chosen, *_confirming(limits_deg, rng))
     return FollowUp(names, separation, elevations, len(chosen), sweeps, wait_s)
@@ -190,14 +193,15 @@ class _Trial:
     @property
     def names(self) -> tuple[str, ...]:
         """The suspects that a run may separate, in their order; all where none can be."""
-        return tuple(dict.fromkeys(suspect.name for suspect in self._separable()))
+        return tuple(dict.fromkeys(suspect.name for suspect in self.separable()))
 
     @property
     def covariates(self) -> set[str]:
         """What those suspects follow."""
-        return {suspect.covariate for suspect in self._separable()}
+        return {suspect.covariate for suspect in self.separable()}
 
-    def _separable(self) -> list[Candidate]:
+    def separable(self) -> list[Candidate]:
+        """Return the suspects that a run may separate; all where none can be."""
         within = {k for pair in self.pairs for k in pair} or range(len(self._suspects))
         return [self._suspects[k] for k in sorted(within)]
 

@@ -230,9 +230,7 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
     said += _same_elsewhere(found, candidate)
     if candidate.named and math.isfinite(found.lead):
         if found.rivals:
-            names = ", ".join(
-                EFFECTS[name].words for name in dict.fromkeys(rival.name for rival in found.rivals)
-            )
+            names = ", ".join(dict.fromkeys(rival.words_in(r) for rival in found.rivals))
             alone = found.candidate.effect.told_apart(has_accelerometer=ANGLE in r.channels)
             apart = ONE_CURVE if found.is_one_curve(r) else alone
             said.append(f"indistinguishable from {names} by these poses: {apart}")

@@ -110,6 +110,9 @@ def diagnose(
         rivals = competing_candidates(left, of_kept, findings.found)
         held_out = cross_validate(left, of_kept, rng, rivals, findings.noises, of_folds)
         findings, held_out, harm = without_harm(findings, held_out)
+        if harm:  # what is left is judged without the effects that left
+            findings = established(findings, draws=True)
+            held_out = held_out if findings.found else held_out.of_nothing()
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
         findings = replace(findings, found=predictive)
         blocks = blocked(left, [f.candidate for f in findings.found])

@@ -373,8 +373,8 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
         said.append("the reading moved and the accelerometer did not: look at what filters the reading")
     if shape.form == ALTERNATING:
         said.append(
-            f"a period of {shape.at['period']:.4g}°, twice the spacing, or an odd part of it: evenly spaced "
-            "poses tell neither its amplitude nor its phase"
+            f"a period of {shape.at['period']:.4g}°, twice the spacing, or an odd part of it: size_deg is by "
+            "how much the poses alternate; between them the wave may be larger, and its phase is not known"
         )
     return said
 

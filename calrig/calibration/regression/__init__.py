@@ -15,6 +15,7 @@ from calrig.calibration.regression.effect import (
     VectorInC,
 )
 from calrig.calibration.regression.request import (
+    ASSUMED,
     LONGEST_PERIOD_DEG,
     MOST_PERIODS,
     AssumedReference,
@@ -23,6 +24,7 @@ from calrig.calibration.regression.request import (
 from calrig.calibration.regression.terms import MG, c_literal
 
 __all__ = [
+    "ASSUMED",
     "LONGEST_PERIOD_DEG",
     "MG",
     "MOST_PERIODS",

@@ -10,6 +10,8 @@ from typing import Any, Literal, Self
 from calrig.calibration.poses import DiagnosisError
 
 AssumedReference = Literal["stage", "good"]
+ASSUMED = "reference"
+"""Key of an imported run's provenance: which of these its import stated."""
 LONGEST_PERIOD_DEG = 360.0
 MOST_PERIODS = 20
 
