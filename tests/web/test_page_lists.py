@@ -1,4 +1,4 @@
-"""Lists and tables of the page: two hundred units, filters in the address, tables that fit desk and phone."""
+"""Lists, tables and time axes: two hundred units, filters in the address, what fits desk and phone."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 
 import pytest
 from dated_runs import FIRST_DAY, gave, lay
-from support import running_service, serving, wait_for
+from support import LONG, ended, running_service, serving, wait_for
 
-from .page_help import imported, row_of
+from .page_help import imported, line_x, readings, row_of
 
 pytestmark = pytest.mark.browser
 
@@ -132,4 +132,24 @@ def test_lists_without_entries_say_what_would_fill_them(rig, store_path, fresh_p
             fresh_page.goto(str(client.base_url.join("/")) + view)
             expect(fresh_page.get_by_text(words)).to_be_visible()
             expect(fresh_page.locator("main table:visible")).to_have_count(0)
+        fresh_page.goto("about:blank")
+
+
+def test_the_time_axis_of_a_rig_with_faster_clocks_is_the_time_on_the_wall(
+    fresh_page, launch_rig, store_path, expect
+):
+    hurried = launch_rig("hurried").model_copy(update={"time_scale": 20.0})
+    with running_service(store_path, hurried) as service, serving(service) as client:
+        run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
+        fresh_page.goto(f"{client.base_url.join('/')}#/runs/{run['id']}")
+        expect(fresh_page.get_by_test_id("timeline")).to_be_attached()
+        live = wait_for(lambda: (x := line_x(fresh_page, "timeline"))[20:] and x, "points of the timeline")
+        fresh_page.click("button.stop")
+        ended(client, run["id"])
+        wall_s = [time_s / 20.0 for time_s in readings(client, run["id"])]
+        assert live == wall_s[: len(live)]
+        fresh_page.reload()
+        axis = fresh_page.get_by_test_id("timeline").locator(".xtitle")
+        expect(axis).to_have_text("time (s), simulated clocks 20× faster")
+        assert line_x(fresh_page, "timeline") == wall_s
         fresh_page.goto("about:blank")
