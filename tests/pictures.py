@@ -111,9 +111,13 @@ def _diagnosis(address: str) -> None:
         page = browser.new_page(viewport=VIEW)
         page.goto(address)
         page.locator("#diagnose").click()
-        page.locator(".effect .plot .main-svg").last.wait_for(timeout=1000 * PATIENCE_S)
-        box: Any = page.locator("#diagnosis").bounding_box()
-        clip = {"x": box["x"] - 20, "y": box["y"] - 12, "width": box["width"] + 40, "height": VIEW["height"]}
+        page.locator("#accept-all").wait_for(timeout=1000 * PATIENCE_S)
+        page.locator("#diagnosis-fold > summary").click()
+        page.locator("[data-testid=before-after] .main-svg").first.wait_for(timeout=1000 * PATIENCE_S)
+        first: Any = page.locator("h1").bounding_box()
+        last: Any = page.locator("#diagnosis").bounding_box()
+        height = last["y"] + last["height"] - first["y"] + 24
+        clip = {"x": last["x"] - 20, "y": first["y"] - 12, "width": last["width"] + 40, "height": height}
         page.screenshot(path=DOCS / "diagnosis.png", full_page=True, clip=clip)
         browser.close()
 

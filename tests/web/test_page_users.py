@@ -130,6 +130,7 @@ def test_what_is_taken_home_comes_with_the_session(page, client, go):
     run = imported(client, "A")
     go(f"#/runs/{run['id']}")
     log_in(page)
+    unfold(page, "files")
     with page.expect_download() as download:
         page.get_by_role("link", name="Poses (CSV)").click()
     assert download.value.path().read_text().startswith("target_deg,reading_deg")
