@@ -1,7 +1,7 @@
 """The pictures of README and docs/reference/certificate.md: `python -m tests.pictures`; a minute and a half.
 
-A run of the demo rig by `calrig serve` and *Diagnose* on its page in Chromium; then the first page of the
-unit's certificate, drawn by pypdfium2 (the extra `bench`). The picture of
+A run of the demo rig by `calrig serve`, *Diagnose* and *Accept all named* on its page in Chromium; then the
+first page of the unit's certificate, drawn by pypdfium2 (the extra `bench`). The picture of
 docs/explanation/error-separation.md has its own command.
 """
 
@@ -89,9 +89,6 @@ def _draw(client: httpx.Client) -> None:
     assert run["status"] == "completed", run["error"]
     _diagnosis(f"{client.base_url}/#/runs/{run['id']}")
     client.put(f"/api/units/{UNIT}/item", json=ITEM).raise_for_status()
-    found = client.get(f"/api/runs/{run['id']}/diagnosis").json()["effects"]
-    effects = {"effects": [one["name"] for one in found if one["verdict"] == "named"]}
-    client.post(f"/api/runs/{run['id']}/diagnosis/accept", json=effects).raise_for_status()
     answer = client.get(f"/api/units/{UNIT}/calibration", params={"format": "pdf"}).raise_for_status()
     _first_page(answer.content)
 
@@ -111,11 +108,20 @@ def _diagnosis(address: str) -> None:
         page = browser.new_page(viewport=VIEW)
         page.goto(address)
         page.locator("#diagnose").click()
-        page.locator(".effect .plot .main-svg").last.wait_for(timeout=1000 * PATIENCE_S)
-        box: Any = page.locator("#diagnosis").bounding_box()
-        clip = {"x": box["x"] - 20, "y": box["y"] - 12, "width": box["width"] + 40, "height": VIEW["height"]}
-        page.screenshot(path=DOCS / "diagnosis.png", full_page=True, clip=clip)
+        page.locator("#accept-all").click(timeout=1000 * PATIENCE_S)
+        page.locator("#download").wait_for(timeout=1000 * PATIENCE_S)
+        _page_of_a_run(page)
         browser.close()
+
+
+def _page_of_a_run(page: Any) -> None:
+    """The answer, the next step, the effects and how well they explain the residual; no folds below."""
+    page.locator("#diagnosis-fold > summary").click()
+    page.locator("[data-testid=before-after] .main-svg").first.wait_for(timeout=1000 * PATIENCE_S)
+    first, last = (page.locator(place).bounding_box() for place in ("h1", "#diagnosis"))
+    height = last["y"] + last["height"] - first["y"] + 24
+    clip = {"x": last["x"] - 20, "y": first["y"] - 12, "width": last["width"] + 40, "height": height}
+    page.screenshot(path=DOCS / "diagnosis.png", full_page=True, clip=clip)
 
 
 def _first_page(pdf: bytes) -> None:

@@ -28,7 +28,7 @@ export function effectCard(effect, k, { path, run }, decides, signal) {
     { low: true, signal },
   );
   const title = effectTitle(effect);
-  const word = effect.accepted_at ? "accepted" : effect.verdict;
+  const [word, look] = effect.accepted_at ? ["accepted", "in"] : [effect.verdict, effect.verdict];
   const folded = h(
     "details",
     {},
@@ -39,7 +39,7 @@ export function effectCard(effect, k, { path, run }, decides, signal) {
       h("span", { class: "size" }, sizeOf(effect)),
       h("span", { class: "muted" }, ownerWords(effect, run)),
       h("span", { class: "muted share" }, explainedWords(effect)),
-      h("span", { class: `pill ${word}` }, word),
+      h("span", { class: `pill ${look}` }, word),
     ),
     h(
       "div",

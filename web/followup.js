@@ -37,9 +37,12 @@ export function isAnswered(runs) {
   return runs.some(({ status, voided }) => !voided && (status === "completed" || UNDER_WAY.has(status)));
 }
 
-/** Which effect of a diagnosis a follow-up run decides: the first ambiguous one that was not a change between runs. */
+/**
+ * Which effect of a diagnosis a follow-up run decides: the first ambiguous one, but no change between runs, and none
+ * whose candidates are one correction.
+ */
 export function decidedEffect({ effects }) {
-  return effects.find(({ verdict, changed }) => verdict === "ambiguous" && !changed);
+  return effects.find(({ verdict, changed, corrects }) => verdict === "ambiguous" && !changed && !corrects);
 }
 
 /** What a follow-up run does and is expected to show, and its button; `followers()` are the follow-up runs so far. */

@@ -10,13 +10,13 @@ import { guarded } from "./queuekeys.js";
 const NOT_PRESSED = "Enter ignored: it came with a scan, or before the button could be read. Press Enter again.";
 const SEARCH = "Searches a catalogue of physical effects for causes of the residual. Takes a few seconds.";
 
-/** `reread(isStep)` reads the run after a step; `diagnosis` is the panel whose button is the first step. */
+/** `diagnosis` is the panel whose button is the first step; `done()` reads the run after another one. */
 export class NextStep {
-  constructor(path, signal, diagnosis, reread) {
+  constructor(path, signal, diagnosis, done) {
     this.path = path;
     this.signal = signal;
     this.diagnosis = diagnosis;
-    this.reread = reread;
+    this.done = done;
     this.row = h("div", { class: "buttons" });
     this.says = h("div");
     this.error = errorLine("next-error");
@@ -68,7 +68,7 @@ export class NextStep {
     const accept = button(text, () =>
       attempt([accept], this.error, async () => {
         await post(`${this.path}/diagnosis/accept`, { effects: [...new Set(names)] });
-        await this.reread(true);
+        await this.done();
       }),
     );
     accept.id = "accept-all";

@@ -43,7 +43,7 @@ class RunPage {
     this.live = new LivePanel((verb) => this.#ask(verb), announce);
     this.answer = h("div");
     this.diagnosis = new DiagnosisPanel(path, signal, (isStep) => this.#reread(isStep));
-    this.next = new NextStep(path, signal, this.diagnosis, (isStep) => this.#reread(isStep));
+    this.next = new NextStep(path, signal, this.diagnosis, () => this.#amended(true));
     this.figures = h("div");
     this.resultFold = new Fold("result", "Figures and verdict", this.figures);
     this.result = h(
@@ -327,9 +327,9 @@ class RunPage {
   }
 
   /** After something was accepted, excluded or voided. */
-  async #amended() {
+  async #amended(isStep = false) {
     try {
-      await this.#reread();
+      await this.#reread(isStep);
       await this.#showMeasured();
     } catch (error) {
       this.#say(error);

@@ -58,7 +58,7 @@ def test_a_diagnosis_shows_how_far_it_is_and_is_found_again_by_who_was_away(
     begun.reload()
     expect(begun.locator("#diagnosis-says")).to_contain_text("40 %")
     LET_GO.touch()
-    expect(begun.get_by_test_id("diagnosis-verdict")).to_be_visible()
+    expect(begun.locator("#diagnosis-fold")).to_be_visible()
     expect(begun.locator("#diagnosis-progress")).to_be_hidden()
     expect(begun.locator("#diagnose")).to_be_enabled()
     assert client.get(f"/api/runs/{slow_run['id']}/diagnosis").status_code == 200
@@ -72,7 +72,7 @@ def test_a_diagnosis_that_a_person_cancels_ends_and_may_be_asked_for_again(begun
     assert client.get(path).status_code == 404
     LET_GO.touch()
     begun.click("#diagnose")
-    expect(begun.get_by_test_id("diagnosis-verdict")).to_be_visible()
+    expect(begun.locator("#diagnosis-fold")).to_be_visible()
 
 
 def test_one_cancelled_before_the_service_has_named_it_is_given_up(

@@ -50,6 +50,8 @@ def test_every_view_fits_and_has_it_in_view_wherever_that_is_scrolled_to(page, c
         go(view)
         expect(page.locator("h1")).to_be_visible()
         expect(page.locator(".plot .plot-container")).to_have_count(drawn)
+        if view.startswith("#/runs/"):
+            expect(page.locator(".effect")).to_be_visible()
         page.locator("details").evaluate_all("all => all.forEach(one => (one.open = true))")
         if view.startswith("#/runs/"):  # of a file without times there is no timeline
             for chart in ("residual", "before-after", "effect-0"):

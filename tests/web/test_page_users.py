@@ -42,6 +42,7 @@ def test_an_admin_adds_a_user_whose_page_offers_what_they_may(page, client, go, 
     assert token not in row.inner_text()
 
     go("#/units")
+    expect(page.locator("h1")).to_have_text("Units")  # nothing is asked any more that would be refused
     page.click("#log-out")
     log_in(page, token)
     expect(page.locator("#who")).to_have_text("ada (viewer)")
@@ -130,6 +131,7 @@ def test_what_is_taken_home_comes_with_the_session(page, client, go):
     run = imported(client, "A")
     go(f"#/runs/{run['id']}")
     log_in(page)
+    unfold(page, "files")
     with page.expect_download() as download:
         page.get_by_role("link", name="Poses (CSV)").click()
     assert download.value.path().read_text().startswith("target_deg,reading_deg")
