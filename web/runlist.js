@@ -93,6 +93,7 @@ export function runList(rigs, query, signal) {
       } while (cursor && !isStopped && body.childElementCount - before < PAGE);
       stop.hidden = true;
       more.hidden = !cursor;
+      filters.element.hidden = !body.childElementCount && filters.isAny();
       fill(state, outcome(seen));
       error.say(null);
     } catch (problem) {
@@ -106,7 +107,7 @@ export function runList(rigs, query, signal) {
   function outcome({ backTo }) {
     if (cursor && isStopped) return ["Stopped at runs of ", moment(backTo), "."];
     if (body.childElementCount) return null;
-    return filters.isAny() ? "No runs yet." : "No run matches.";
+    return filters.isAny() ? "No runs yet. Enter a serial number above and press Start." : "No run matches.";
   }
 
   /** Reloads the first page, unless a search is in progress, which would never reach older runs. */
