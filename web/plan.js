@@ -74,7 +74,7 @@ export function planForm(of, signal) {
   given.classList.add("wide");
   const jittered = h("p", { id: "jitter-why", class: "muted", hidden: true }, JITTER_WHY);
   const presets = PRESETS.map(([id, text, plan]) => button(text, () => take(plan), { id: `preset-${id}` }));
-  const designer = designDetails(() => ({ ...of(), plan: value() }), take, signal);
+  const designer = designDetails(() => ({ ...of(), plan: value() }), take, () => pace, signal);
   const advanced = h("details", {}, h("summary", {}, "More settings"), h("div", { class: "fields two" }, ADVANCED.map(make)));
   const mounts = mountFields();
   const fields = h(
@@ -132,6 +132,7 @@ export function planForm(of, signal) {
     jittered.hidden = !several || !Number(jitter.value);
   }
 
+  let pace = 1; // seconds on the wall for one of the rig's clock, which a simulated rig may run faster
   let timer;
   let asked = new AbortController();
 
@@ -152,6 +153,7 @@ export function planForm(of, signal) {
     const plan = value();
     try {
       const estimated = await post("/api/plans/estimate", { ...of(), plan }, asked.signal);
+      pace = estimated.wall_s / estimated.duration_s || 1;
       fill(summary, estimateText(plan, estimated));
       warn(estimated.warnings);
     } catch (problem) {
@@ -205,11 +207,11 @@ function comparable({ kind, elevations_deg: list, until, ...plan }) {
 }
 
 /** The design of a plan, folded: loaded when the user opens it. */
-function designDetails(of, take, signal) {
+function designDetails(of, take, pace, signal) {
   const element = h("details", { id: "designer" }, h("summary", {}, "By uncertainty"));
   const open = async () => {
     const { planDesigner } = await import("./plandesign.js");
-    element.append(planDesigner(of, take, signal));
+    element.append(planDesigner(of, take, pace, signal));
   };
   element.addEventListener("toggle", open, { once: true });
   return element;

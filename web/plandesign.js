@@ -10,9 +10,9 @@ const WORDS = { doing: "Designing the plan.", share: "the designs are tried" };
 
 /**
  * The request for a design and its result. `of()` is rig, unit and current plan; `take(plan)` fills the form with the
- * designed one; `signal` aborts when the view is left.
+ * designed one; `pace()` is the seconds on the wall for one of the rig's clock; `signal` aborts when the view is left.
  */
-export function planDesigner(of, take, signal) {
+export function planDesigner(of, take, pace, signal) {
   const target = input("target_u_deg", "number", { step: "any", placeholder: "0.5" });
   const time = input("time_s", "number", { step: "any", placeholder: "no limit" });
   const trace = input("trace", "checkbox", { checked: true });
@@ -48,7 +48,7 @@ export function planDesigner(of, take, signal) {
         ...of(),
         target_u_deg: wanted,
         until: stops ? { expanded_uncertainty_deg: wanted } : null,
-        time_s: time.value === "" ? null : Number(time.value),
+        time_s: time.value === "" ? null : Number(time.value) / pace(),
         trace: trace.checked,
         sweep: sweep.checked,
       }),
@@ -62,7 +62,7 @@ export function planDesigner(of, take, signal) {
     try {
       if (await carriedOut()) {
         const designed = await work.document();
-        fill(answer, shown(designed), useIt(designed.plan));
+        fill(answer, shown(designed, pace()), useIt(designed.plan));
       } else if (!signal.aborted) fill(answer, h("p", { class: "muted" }, "Cancelled."));
     } catch (problem) {
       if (problem.name === "AbortError") return;
@@ -96,13 +96,13 @@ function check(box, label, hint) {
   return h("div", {}, h("label", { for: box.id, class: "check" }, box, label), h("small", { class: "muted" }, hint));
 }
 
-function shown({ plan, expected, limit, suspects, says }) {
+function shown({ plan, expected, limit, suspects, says }, pace) {
   const rows = [
     ...poses(plan),
-    ["Time on the rig", `about ${duration(expected.duration_s)}`],
+    ["Time on the rig", `about ${duration(pace * expected.duration_s)}`],
     ["Expanded uncertainty", significant(expected.expanded_uncertainty_deg, 3, "°")],
     ["Bias, standard error", significant(expected.bias_std_deg, 2, "°")],
-    ["Lower bound of the time", duration(limit.duration_s)],
+    ["Lower bound of the time", duration(pace * limit.duration_s)],
   ];
   return [
     figureList(rows),

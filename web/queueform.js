@@ -47,16 +47,16 @@ export async function listForm(last, signal) {
     field("csv", "or CSV file (column “unit” or “serial”, else the first)", file),
     skipped,
     h("fieldset", {}, h("legend", {}, "Rigs in parallel"), h("div", { class: "choice" }, labels)),
-    h(
-      "div",
-      { class: "fields two" },
-      field("operator", "Operator (optional)", operator),
-      field("note", "Note (optional)", note),
-      field("failed", "If a unit fails", failed),
-    ),
+    field("failed", "If a unit fails", failed),
     plan.element,
     error.element,
     h("div", { class: "buttons" }, make),
+    h(
+      "details",
+      {},
+      h("summary", {}, "Operator, note"),
+      h("div", { class: "fields two" }, field("operator", "Operator (optional)", operator), field("note", "Note (optional)", note)),
+    ),
   );
   const counted = () => {
     sessionStorage.setItem(UNITS_KEY, units.value);

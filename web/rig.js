@@ -1,4 +1,4 @@
-// A rig: its reference, its check unit, and the runs in doubt.
+// A rig: its reference, its check standard, and the runs in doubt.
 
 import { get, post, put, remove } from "./api.js";
 import { confirmButton } from "./ask.js";
@@ -36,14 +36,14 @@ export async function rigView({ root, parts: [name], signal }) {
   stopsOnEscape(() => (isBusy ? [name] : []), signal);
   const path = `/api/rigs/${encodeURIComponent(name)}/check-unit`;
   const card = h("section", { class: "card", id: "check", "aria-labelledby": "check-title" });
-  const chart = new Chart("check-chart", "Control chart: the check unit's bias and scale", { signal });
+  const chart = new Chart("check-chart", "Control chart: bias and scale of the check standard", { signal });
   const read = async () => {
     const [named, units] = await Promise.all([get("/api/check-units", signal), get("/api/units", signal)]);
     const check = named.some(({ rig }) => rig === name) ? await get(path, signal) : null;
     const form = may("releaser") && naming(path, check, units, read);
     fill(
       card,
-      h("h2", { id: "check-title" }, "Check unit"),
+      h("h2", { id: "check-title" }, "Check standard"),
       check ? standing(check) : h("p", { class: "muted" }, "No check standard: rig drift is not monitored."),
       form,
       check && checks(check),
@@ -141,11 +141,11 @@ function naming(path, check, units, read) {
   const error = errorLine("check-error");
   const save = h("button", { type: "submit", id: "name-check", class: check ? null : "primary" }, check ? "Change" : "Save");
   const question = {
-    title: "Remove the check unit?",
+    title: "Remove the check standard?",
     text: "Runs of this rig are no longer suspect because of a check. They stay unchanged.",
     action: "Remove",
   };
-  const drop = check && confirmButton("Remove the check unit…", question, () => remove(path), read, { id: "drop-check" });
+  const drop = check && confirmButton("Remove the check standard…", question, () => remove(path), read, { id: "drop-check" });
   const form = h(
     "form",
     {},

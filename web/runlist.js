@@ -94,6 +94,7 @@ export function runList(rigs, query, signal) {
       } while (cursor && !isStopped && body.childElementCount - before < PAGE);
       stop.hidden = true;
       more.hidden = !cursor;
+      filters.element.hidden = !body.childElementCount && filters.isAny();
       fill(state, outcome(seen));
       error.say(null);
     } catch (problem) {

@@ -89,8 +89,10 @@ class SolveForm {
     ]);
     if (rig !== this.rig.value) return;
     const runs = items.filter((run) => run.result && !run.voided && isHere(run));
-    const { ids, says } = suggested(runs, this.wanted);
-    fill(this.says, says, more && ` These are among the ${LISTED} newest completed runs.`);
+    const { ids, says, unit } = suggested(runs, this.wanted);
+    const mounts = new URLSearchParams({ mounts: "0,120,240", rig, ...(unit && { unit }) });
+    const start = rig && !ids.length && h("a", { id: "solve-mounts", href: `#/?${mounts}` }, "Start a run with three mounts");
+    fill(this.says, says, start && [" ", start, "."], more && ` These are among the ${LISTED} newest completed runs.`);
     fill(this.rows, runs.length > 0 && runTable(runs));
     this.#tick((id) => ids.includes(id));
     this.wanted = { runs: [], unit: null }; // of the rig that the address named
@@ -135,7 +137,7 @@ function runTable(runs) {
 }
 
 function earlier(solutions) {
-  if (!solutions.length) return h("p", { class: "muted" }, "No solution yet. Tick runs above and solve them.");
+  if (!solutions.length) return h("p", { class: "muted" }, "No solution yet. Tick runs above and press Solve.");
   const rows = solutions.map((one) =>
     tableRow(
       [h("a", { href: `#/solve/${one.id}` }, moment(one.created_at)), one.by && ` by ${one.by}`],
@@ -176,8 +178,8 @@ function suggested(runs, { runs: named, unit }) {
     return { ids: of(runs, best.unit), says: `Suggested: unit ${best.unit} (${best.words}).` };
   const says =
     "No unit was clamped at several angles. With one mount, stage and unit are separable only if the unit is stated to " +
-    "be linear. Add a run with the unit clamped at 120°, and one at 240°.";
-  return { ids: [], says };
+    "be linear. Measure one unit clamped at 0°, 120° and 240°.";
+  return { ids: [], says, unit: best.unit };
 }
 
 function of(runs, unit) {

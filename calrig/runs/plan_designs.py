@@ -424,9 +424,7 @@ def _says(asked: DesignInputs, task: DesignProblem, design: Design, whole: Desig
     precision = task.sweeping.precision if task.sweeping and whole.sweep else task.precision
     said = [f"{precision.said[0].upper()}{precision.said[1:]}.", *_how_it_moves(asked, task, whole)]
     if task.type_b is None:
-        said.append(
-            "The rig has no `reference` in calrig.toml, so the expanded uncertainty is unknown."
-        )
+        said.append("The rig has no `reference` in calrig.toml, so the expanded uncertainty is unknown.")
     if task.until:
         said.append(
             f"The run ends when it reaches the target: after about {len(design.elevations_deg)} of "

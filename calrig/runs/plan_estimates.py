@@ -37,8 +37,8 @@ START_S = 1.0
 HOMING_SHARE = 0.5
 """Of its velocity, at which an ordinary stage looks for its reference."""
 QUESTIONS_S = 0.15
-"""Communication time of a pose by the wall clock: 0.12 s of exchanges with stage and board, on simulated rigs of
-each kind, and 0.03 s to compute and store the pose. A simulated rig's board counts `time_scale` as much."""
+"""Communication time of a pose by the wall clock: 0.12 s of exchanges with stage and board, as on simulated
+rigs of each kind, and 0.03 s to compute and store it. A simulated board counts `time_scale` times as much."""
 RUNS_LOOKED_AT = 10
 FEWEST_GAPS, FEWEST_PASSES = 4, 1
 TRIMMED = 0.1
@@ -132,7 +132,7 @@ def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> fl
 
 
 def paused_s(run: Run, poses: Sequence[Pose], rig: RigSettings) -> float:
-    """What lay between the dwells of a completed run beyond what is usual there: pauses, by the board's clock."""
+    """Pauses by the board's clock: what lay between the dwells of a completed run beyond the usual."""
     gaps_s = _gaps_s(run, poses, _speed(run, rig))
     return 0.0 if gaps_s is None else max(0.0, sum(gaps_s) - len(gaps_s) * _trimmed_mean(gaps_s))
 

@@ -44,7 +44,7 @@ def test_a_stage_that_no_run_has_asked_is_taken_for_an_ordinary_one(make_rig, se
 
 
 def test_the_first_run_of_a_rig_whose_clock_is_fast_is_told_with_what_its_exchanges_take(make_rig, serve):
-    """As the simulated rig's of a fresh installation: its board counts six seconds for one of the exchanges'."""
+    """As of the simulated rig of a fresh installation: its board counts six seconds for each of theirs."""
     scale = 6.0
     bench = make_rig("fresh", time_scale=scale, stage=PACE)
     service = serve(bench)

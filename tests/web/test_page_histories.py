@@ -62,6 +62,7 @@ def test_the_unit_that_moved_is_first_in_compare_and_marked(page, go, expect):
     spread = page.get_by_test_id("spread")
     expect(spread).to_contain_text("MOVED")
     expect(spread).to_contain_text("repeatability within one unit 0.000")
+    expect(spread).to_contain_text("Remounting: ")
 
 
 def test_beyond_eight_units_no_colour_is_given_twice(page, go, expect):

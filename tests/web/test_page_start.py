@@ -1,4 +1,4 @@
-"""The first page: serial, rig, a plan of one line, Start; and the ways on where a run does not begin or complete."""
+"""The first page: serial, rig, a plan of one line, Start; and what helps where a run does not complete."""
 
 from __future__ import annotations
 

@@ -115,7 +115,8 @@ def test_escape_stops_what_the_queue_has_under_way_and_no_key_that_follows_start
 
 def test_after_a_stop_in_the_header_the_queue_has_the_keyboard_again(page, client, go, expect):
     batch = client.post("/api/batches", json={"units": ["HEAD-1"], "plan": LONG}).raise_for_status().json()
-    client.post(f"/api/batches/{batch['id']}/start", json={"rig": "bench-1", "unit": "HEAD-1"}).raise_for_status()
+    turn = {"rig": "bench-1", "unit": "HEAD-1"}
+    client.post(f"/api/batches/{batch['id']}/start", json=turn).raise_for_status()
     go(f"#/queue/{batch['id']}")
     expect(page.locator(".todo")).to_have_text("HEAD-1 is being measured")
     page.focus("button.stop")
