@@ -78,8 +78,8 @@ class BenchAtAGlance(Model):
     """A bench and its rigs; this machine where there is no name.
 
     `silent_since` is when it last said something, once that is more than ten seconds ago. `silent_for_s` is
-    how long ago, in steps that grow with it. `refused` says why it takes no orders, `clock` what is wrong with its
-    clock.
+    how long ago, in steps that grow with it. `refused` says why it takes no orders, `clock` what is wrong
+    with its clock.
     """
 
     name: str | None

@@ -62,8 +62,8 @@ class KnownUser(Model):
 class Membership(Model):
     """A bench that may join, has joined or was revoked; times are null until then.
 
-    `refused` says why it takes no orders: its version, another bench's rig of the same name, a full disk. `clock`
-    says what is wrong with its clock, null within 2 s of the centre's.
+    `refused` says why it takes no orders: its version, another bench's rig of the same name, a full disk.
+    `clock` says what is wrong with its clock, null within 2 s of the centre's.
     """
 
     name: str
