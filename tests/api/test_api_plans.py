@@ -55,17 +55,6 @@ def test_a_field_without_a_name_makes_no_header_that_a_server_may_not_send(share
     assert "Calrig-Fields" not in shared_client.post("/api/plans/estimate", json={"": {}}).headers
 
 
-def test_a_plan_of_several_mounts_says_how_the_seats_must_lie_before_the_run(shared_client):
-    plans = [{}, {"mounts_deg": [0, 120, 240]}]
-    one, three = (
-        shared_client.post("/api/plans/estimate", json={"plan": plan}).raise_for_status().json()["warnings"]
-        for plan in plans
-    )
-    (said,) = (sentence for sentence in three if sentence not in one)
-    assert "x axis must lie along the stage's axis" in said
-    assert "`accel_x` is not used" in said
-
-
 def test_a_plan_is_designed_for_an_uncertainty_and_a_run_takes_it(shared_client):
     wanted = {"target_u_deg": 0.5, "plan": {"start_deg": -40, "stop_deg": 40}}
     told = shared_client.post("/api/plans/design", json=wanted).raise_for_status().json()
@@ -100,3 +89,14 @@ def test_what_no_plan_reaches_is_refused_with_the_reason(shared_client, wanted, 
     answer = shared_client.post("/api/plans/design", json=wanted)
     assert answer.status_code == 422
     assert words in answer.json()["detail"]
+
+
+def test_a_plan_of_several_mounts_says_how_the_seats_must_lie_before_the_run(shared_client):
+    plans = [{}, {"mounts_deg": [0, 120, 240]}]
+    one, three = (
+        shared_client.post("/api/plans/estimate", json={"plan": plan}).raise_for_status().json()["warnings"]
+        for plan in plans
+    )
+    (said,) = (sentence for sentence in three if sentence not in one)
+    assert "x axis must lie along the stage's axis" in said
+    assert "`accel_x` is not used" in said
