@@ -68,17 +68,6 @@ def test_a_body_with_nothing_to_name_is_refused_and_the_connection_lives_on(shar
     assert shared_client.get("/api/health").is_success
 
 
-def test_a_plan_of_several_mounts_says_how_the_seats_must_lie_before_the_run(shared_client):
-    plans = [{}, {"mounts_deg": [0, 120, 240]}]
-    one, three = (
-        shared_client.post("/api/plans/estimate", json={"plan": plan}).raise_for_status().json()["warnings"]
-        for plan in plans
-    )
-    (said,) = (sentence for sentence in three if sentence not in one)
-    assert "x axis must lie along the stage's axis" in said
-    assert "`accel_x` is not used" in said
-
-
 def test_a_plan_is_designed_for_an_uncertainty_and_a_run_takes_it(shared_client):
     wanted = {"target_u_deg": 0.5, "plan": {"start_deg": -40, "stop_deg": 40}}
     told = shared_client.post("/api/plans/design", json=wanted).raise_for_status().json()
@@ -113,3 +102,14 @@ def test_what_no_plan_reaches_is_refused_with_the_reason(shared_client, wanted, 
     answer = shared_client.post("/api/plans/design", json=wanted)
     assert answer.status_code == 422
     assert words in answer.json()["detail"]
+
+
+def test_a_plan_of_several_mounts_says_how_the_seats_must_lie_before_the_run(shared_client):
+    plans = [{}, {"mounts_deg": [0, 120, 240]}]
+    one, three = (
+        shared_client.post("/api/plans/estimate", json={"plan": plan}).raise_for_status().json()["warnings"]
+        for plan in plans
+    )
+    (said,) = (sentence for sentence in three if sentence not in one)
+    assert "x axis must lie along the stage's axis" in said
+    assert "`accel_x` is not used" in said
