@@ -9,8 +9,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, Field
 
+from calrig.api.access import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
+from calrig.api.models import Body
 from calrig.model.base import Model
 from calrig.store.trail import What
 
@@ -39,6 +41,25 @@ class TrailAnswer(Model):
     entries: list[EntryAnswer]
     intact: bool
     broken_at: int | None = Field(description="The first entry that is not what followed on the one before.")
+
+
+class Backup(Body):
+    """The newest entry of the trail in a backup."""
+
+    seq: Annotated[int, Field(ge=0, lt=2**63)]
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+@router.post(
+    "/api/trail/backups",
+    dependencies=[requires("operator")],
+    status_code=204,
+    responses=problems(409, 413, 422),
+    summary="Enter that a backup was made",
+)
+def enter_backup(body: Backup, context: Context, who: Who) -> None:
+    """`calrig backup` does so for the copy that it has made: the trail then has the heads of its backups."""
+    context.store.trail.add_backup(body.seq, body.sha256, who)
 
 
 @router.get("/api/trail", response_model=TrailAnswer, responses=problems(422), summary="Who did what")
