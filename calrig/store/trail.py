@@ -99,8 +99,8 @@ class Trail(Repository):
         with self._database.writing() as session:
             append(session, act)
 
-    def add_backup(self, seq: int, sha256: str, who: str | None = None) -> None:
-        """Enter that a backup was made, and its newest entry.
+    def add_backup(self, seq: int, sha256: str, who: str | None = None) -> Entry:
+        """Enter that a backup was made, and its newest entry; return the entry.
 
         Raises:
             Refused: the trail has no such entry: the backup is of another store.
@@ -108,7 +108,8 @@ class Trail(Repository):
         with self._database.writing() as session:
             if not self.holds(seq, sha256):
                 raise Refused(f"the audit log has no entry {seq} with SHA-256 {sha256}")
-            append(session, Act("backed_up", who, detail={"trail_seq": seq, "trail_sha256": sha256}))
+            act = Act("backed_up", who, detail={"trail_seq": seq, "trail_sha256": sha256})
+            return _entry(append(session, act))
 
     def entries(
         self,

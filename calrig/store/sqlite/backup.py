@@ -55,4 +55,5 @@ def back_up(url: str, target: Path) -> BackedUp:
         has_trail = copy.execute("SELECT 1 FROM sqlite_master WHERE name = 'trail'").fetchone()
         newest = "SELECT seq, sha256 FROM trail ORDER BY seq DESC LIMIT 1"  # older stores have none
         head = copy.execute(newest).fetchone() if has_trail else None
-    return BackedUp(runs, poses, target.stat().st_size, *(head or (0, None)), stored == revisions()[-1])
+    seq, sha256 = head or (0, None)
+    return BackedUp(runs, poses, target.stat().st_size, seq, sha256, is_current=stored == revisions()[-1])
