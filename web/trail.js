@@ -21,6 +21,7 @@ const WORDS = {
   aborted: "aborted a run",
   mended: "completed a half-done change",
   certificate_issued: "issued a certificate",
+  backed_up: "made a backup",
   drafted: "drafted a calibration",
   released: "released a calibration",
   withdrawn: "withdrew a calibration",

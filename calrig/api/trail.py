@@ -9,10 +9,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, Field
 
+from calrig.api.access import Who, requires
 from calrig.api.context import Context
 from calrig.api.errors import problems
+from calrig.api.models import Body
 from calrig.model.base import Model
-from calrig.store.trail import What
+from calrig.store.trail import Entry, What
 
 router = APIRouter(tags=["access"])
 
@@ -41,6 +43,26 @@ class TrailAnswer(Model):
     broken_at: int | None = Field(description="The first entry that is not what followed on the one before.")
 
 
+class Backup(Body):
+    """The newest entry of the trail in a backup."""
+
+    seq: Annotated[int, Field(ge=0, lt=2**63)]
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+@router.post(
+    "/api/trail/backups",
+    dependencies=[requires("operator")],
+    status_code=201,
+    response_model=EntryAnswer,
+    responses=problems(409, 413, 422),
+    summary="Enter that a backup was made",
+)
+def enter_backup(body: Backup, context: Context, who: Who) -> object:
+    """`calrig backup` does so for the copy that it has made: the trail then has the heads of its backups."""
+    return _shown(context.store.trail.add_backup(body.seq, body.sha256, who))
+
+
 @router.get("/api/trail", response_model=TrailAnswer, responses=problems(422), summary="Who did what")
 def show_trail(
     context: Context,
@@ -60,5 +82,8 @@ def show_trail(
         unit=unit, what=what or (), since=since, after=after, newest_first=newest_first, limit=limit
     )
     broken_at = context.store.trail.broken_link()
-    shown = [{**asdict(one.act), "seq": one.seq, "at": one.at, "sha256": one.sha256} for one in entries]
-    return {"entries": shown, "intact": broken_at is None, "broken_at": broken_at}
+    return {"entries": [_shown(one) for one in entries], "intact": broken_at is None, "broken_at": broken_at}
+
+
+def _shown(entry: Entry) -> dict[str, Any]:
+    return {**asdict(entry.act), "seq": entry.seq, "at": entry.at, "sha256": entry.sha256}

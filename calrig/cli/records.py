@@ -12,12 +12,13 @@ from calrig.cli import options
 from calrig.cli.input_files import in_utf8, read_bytes
 from calrig.cli.options import COLUMNS, Db, Json, Server, UnitSerial
 from calrig.cli.running_service import running_service
-from calrig.errors import InputError
+from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from calrig.calibration.regression import AssumedReference
     from calrig.client import Client, Run
     from calrig.model.result import StatedKind
+    from calrig.store.sqlite.backup import BackedUp
 
 
 def import_(
@@ -144,9 +145,12 @@ def backup(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The copy to make; never overwritten.")],
     db: Db = None,
 ) -> None:
-    """Copy the whole store, also while a service writes to it; the copy is a store itself."""
+    """Copy the whole store, also while a service writes to it; the copy is a store itself.
+
+    The newest entry of the copy's audit log is entered in the audit log of the store.
+    """
     from calrig.settings import store_url
-    from calrig.store import back_up
+    from calrig.store import StoreError, back_up
 
     if file.is_dir() or not file.parent.is_dir():
         raise InputError(f"backup: {file}: is a folder, or in one that is not there: name a file to make")
@@ -157,6 +161,26 @@ def backup(
     typer.echo(f"{file}: {made.runs} runs, {made.poses} poses, {size_mb:.1f} MB")
     if made.trail_seq:
         typer.echo(f"newest entry of the audit log: {made.trail_seq}, SHA-256 {made.trail_sha256}")
+        try:
+            _enter_backup(made, db)
+        except (WorkError, StoreError) as error:
+            typer.echo(f"calrig: the backup is complete, but is not in the audit log: {error}", err=True)
+
+
+def _enter_backup(made: BackedUp, db: str | None) -> None:
+    """Enter a backup in the audit log, by the service that holds the store if there is one."""
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    if made.trail_sha256 is None:
+        return
+    if (there := running_service(None, db)) is not None:
+        there.post("/api/trail/backups", {"seq": made.trail_seq, "sha256": made.trail_sha256})
+        return
+    if not made.is_current:  # opened for writing it would be migrated
+        raise WorkError("an older calrig wrote this store; `calrig serve` brings it up to date")
+    with Store.open(store_url(db), writer="backup") as store:
+        store.trail.add_backup(made.trail_seq, made.trail_sha256)
 
 
 Named = Annotated[

@@ -14,6 +14,7 @@ from sqlmodel import Session, col, or_, select
 from calrig.run_ids import is_number
 from calrig.store.checksums import to_json
 from calrig.store.database import Repository
+from calrig.store.errors import Refused
 from calrig.store.records import Document
 from calrig.store.tables import CertificateTable, RunTable, TrailTable
 
@@ -22,7 +23,7 @@ What = Literal[
     "excluded", "included", "voided", "unvoided", "noted", "moved",
     "accepted", "taken_back", "mended", "drafted", "released", "withdrawn", "certificate_issued",
     "limits_changed", "check_unit_changed", "item_changed", "map_put_in_force", "map_withdrawn",
-    "user_added", "user_changed", "unit_removed",
+    "user_added", "user_changed", "unit_removed", "backed_up",
     "bench_added", "bench_enrolled", "bench_revoked", "stop_withdrawn",
 ]  # fmt: skip
 
@@ -97,6 +98,18 @@ class Trail(Repository):
         """Add an act that changes no other row."""
         with self._database.writing() as session:
             append(session, act)
+
+    def add_backup(self, seq: int, sha256: str, who: str | None = None) -> Entry:
+        """Enter that a backup was made, and its newest entry; return the entry.
+
+        Raises:
+            Refused: the trail has no such entry: the backup is of another store.
+        """
+        with self._database.writing() as session:
+            if not self.holds(seq, sha256):
+                raise Refused(f"the audit log has no entry {seq} with SHA-256 {sha256}")
+            act = Act("backed_up", who, detail={"trail_seq": seq, "trail_sha256": sha256})
+            return _entry(append(session, act))
 
     def entries(
         self,

@@ -105,6 +105,41 @@ def test_a_backup_of_an_idle_store_is_the_store(folder):
     assert json.loads(copied) == json.loads(calrig("export", run_id).stdout)
 
 
+def entered(store):
+    """The heads of backups that a store's audit log has, and how many entries were there before each."""
+    found = store.trail.entries(what=["backed_up"])
+    return [(one.seq - 1, one.act.detail["trail_seq"]) for one in found]
+
+
+def test_a_backup_is_entered_in_the_audit_log_with_its_newest_entry(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    told = calrig("backup", "one.db").stdout + calrig("backup", "two.db").stdout
+    with Store.open(f"sqlite:///{folder / 'calrig.db'}", writer=None) as store:
+        acts = [one.act.detail for one in store.trail.entries(what=["backed_up"])]
+        assert entered(store) == [(one["trail_seq"], one["trail_seq"]) for one in acts]
+        assert store.trail.broken_link() is None
+    assert len(acts) == 2
+    assert all(f"{one['trail_seq']}, SHA-256 {one['trail_sha256']}" in told for one in acts)
+
+
+def test_a_backup_of_a_store_that_is_served_is_entered_by_the_service(client, store_path, tmp_path, service):
+    files = {"file": ("p.csv", "target_deg,reading_deg\n0,0.1\n9,9.1\n")}
+    client.post("/api/imports", files=files, data={"unit": "B"}).raise_for_status()
+    service.store.answers_at(str(client.base_url))
+    assert calrig("backup", tmp_path / "copy.db", "--db", store_path).stderr == ""
+    ((before, head),) = entered(service.store)
+    assert before == head
+    wrong = {"seq": head, "sha256": "0" * 64}
+    assert client.post("/api/trail/backups", json=wrong).status_code == 409
+
+
+def test_a_backup_of_a_store_that_another_program_writes_says_that_it_is_not_entered(folder):
+    calrig("import", "poses.csv", "--unit", "A")
+    with Store.open(f"sqlite:///{folder / 'calrig.db'}", writer="run"):
+        done = calrig("backup", "copy.db")
+    assert (folder / "copy.db").exists() and "not in the audit log" in done.stderr
+
+
 def test_a_backup_in_the_middle_of_a_run_is_one_file_with_every_pose_announced_before(
     client, store_path, tmp_path
 ):

@@ -35,8 +35,8 @@ def test_an_archive_is_made_once_and_checked_without_the_store(folder):
 
 def test_a_backup_and_an_archive_prove_that_nothing_was_cut_off_the_audit_log(folder):
     calrig("import", "poses.csv", "--unit", "A")
-    told = calrig("backup", "copy.db").stdout
     calrig("export", "--unit", "A", "--format", "archive", "--out", "a.zip")
+    told = calrig("backup", "copy.db").stdout
     calrig("import", "poses.csv", "--unit", "B")
     with closing(sqlite3.connect(folder / "calrig.db")) as store:
         seq, sha256 = store.execute("SELECT seq, sha256 FROM trail ORDER BY seq").fetchall()[2]

@@ -6,7 +6,7 @@ import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from calrig.store.database import BUSY_TIMEOUT_S
+from calrig.store.database import BUSY_TIMEOUT_S, revisions
 from calrig.store.errors import StoreError
 from calrig.store.sqlite import copying, file
 from calrig.store.sqlite.copying import copy_database
@@ -21,6 +21,7 @@ class BackedUp:
     Attributes:
         size_bytes: of its file.
         trail_seq, trail_sha256: the newest entry of its audit log; 0 and None of an empty one.
+        is_current: whether the store has the layout of this version.
     """
 
     runs: int
@@ -28,6 +29,7 @@ class BackedUp:
     size_bytes: int
     trail_seq: int
     trail_sha256: str | None
+    is_current: bool
 
 
 def back_up(url: str, target: Path) -> BackedUp:
@@ -43,7 +45,8 @@ def back_up(url: str, target: Path) -> BackedUp:
     database = database_path(url)
     if not database.is_file():
         raise StoreError(f"{database}: there is no calrig database: name one with --db")
-    if copying.stored_revision(database, file.reading_uri(database, BUSY_TIMEOUT_S)) is None:
+    stored = copying.stored_revision(database, file.reading_uri(database, BUSY_TIMEOUT_S))
+    if stored is None:
         raise StoreError(f"{database}: is empty: there is nothing to keep a copy of")
     copy_database(database, target)
     with contextlib.closing(connect(target.resolve().as_uri() + file.AS_IT_LIES)) as copy:
@@ -52,4 +55,5 @@ def back_up(url: str, target: Path) -> BackedUp:
         has_trail = copy.execute("SELECT 1 FROM sqlite_master WHERE name = 'trail'").fetchone()
         newest = "SELECT seq, sha256 FROM trail ORDER BY seq DESC LIMIT 1"  # older stores have none
         head = copy.execute(newest).fetchone() if has_trail else None
-    return BackedUp(runs, poses, target.stat().st_size, *(head or (0, None)))
+    seq, sha256 = head or (0, None)
+    return BackedUp(runs, poses, target.stat().st_size, seq, sha256, is_current=stored == revisions()[-1])
