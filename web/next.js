@@ -98,8 +98,9 @@ function stepOf(run) {
   if (voided) return "again";
   if (status !== "completed") return "none"; // a run that did not complete has its buttons in its head
   if (!result) return plan?.kind === "static" ? "noise" : "solve";
-  const isClean = verdict.left === "noise" && ["no_limits", "pass"].includes(verdict.answer) && verdict.reliable !== false;
-  const isOpen = diagnosis ? isOutdated(run) : !isClean;
+  const isClean = verdict.left === "noise" && ["no_limits", "pass"].includes(verdict.answer);
+  const isInDoubt = verdict.reliable === false; // its draft is for a person to look at
+  const isOpen = diagnosis ? isOutdated(run) : !isClean && !isInDoubt;
   if (isOpen && may("operator")) return "diagnose";
   if (plan?.kind === "verification") return "unit";
   return diagnosis?.effects.some(isOffered) && may("releaser") ? "accept" : "use";
