@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import io
+import json
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -13,6 +15,8 @@ import pypdf
 import pytest
 from support import running_service, serving
 from told_units import IMU, LIMIT, PLAN, accepted, agrees, measured, solved
+
+from calrig.export.certificate.wording import flattened
 
 NUMBER = r"−?\d+(?:\.\d+)?"
 DCC = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -173,6 +177,64 @@ def test_the_largest_error_of_the_verdict_is_in_the_table_at_its_elevation(told)
         assert agrees(mean, value)
     for (place, *_), value in zip(told.rows, told.column("basic_nominalValue"), strict=True):
         assert agrees(place, value)
+
+
+def test_every_number_of_the_document_is_in_the_annex_and_in_the_file_inside_the_dcc(told):
+    annex = told.pdf.replace(" ", "")
+    for name, value in flattened(told.json):
+        assert value.replace(" ", "") in annex, name
+    (inside,) = told.dcc.iterfind(".//dcc:dataBase64", DCC)
+    assert json.loads(base64.b64decode(inside.text)) == told.json
+
+
+def test_range_and_temperature_are_the_documents(told):
+    for shown, end in zip(told.told("Range #° to #°"), told.json["range_deg"], strict=True):
+        assert agrees(shown, end)
+    warmth = told.json["temperature_c"]
+    if warmth is None or warmth["min"] is None:
+        assert not told.quantities("basic_temperatureMin")
+        return
+    for shown, end in zip(told.told("Temperature # °C to # °C"), ("min", "max"), strict=True):
+        assert agrees(shown, warmth[end])
+        of_dcc = told.quantities(f"basic_temperature{end.capitalize()}")
+        assert {float(one.findtext(".//si:value", namespaces=DCC)) for one in of_dcc} == {warmth[end]}
+
+
+def test_parameters_of_effects_in_the_dcc_are_the_documents(told):
+    for effect in told.json["effects"]:
+        for name, value in effect["parameters"].items():
+            quantities = told.quantities(f"calrig_{name}")
+            found = [float(one.text) for each in quantities for one in each.iterfind(".//si:value", DCC)]
+            in_words = [
+                one for each in quantities for one in each.iterfind("dcc:noQuantity/dcc:content", DCC)
+            ]
+            found += [float(one.text.split()[0]) for one in in_words]  # of a unit that D-SI has none for
+            assert any(one == pytest.approx(value) for one in found), name
+
+
+def test_errors_as_found_and_numbers_of_poses_are_one_in_pdf_and_dcc(told):
+    errors = "(#)° (\\d+) (#)° #° … #° #° #° … #° #°".replace("#", NUMBER)
+    rows = re.findall(errors, told.pdf)
+    columns = (
+        told.column("basic_nominalValue"),
+        told.column("calrig_poses"),
+        told.column("calrig_errorAsFound"),
+    )
+    assert len(rows) == len(columns[0])
+    for row, *values in zip(rows, *columns, strict=True):
+        assert all(agrees(shown, value) for shown, value in zip(row, values, strict=True))
+
+
+def test_contributions_of_the_budget_are_one_in_pdf_and_dcc_and_come_to_the_documents(told):
+    parts = told.quantities("calrig_uncertaintyContribution")
+    values = [float(one.findtext(".//si:value", namespaces=DCC)) for one in parts]
+    budget = re.findall(NUMBER, told.told("(Contribution Share.*?)Combined standard")[0])
+    for value in values:
+        assert value == 0.0 or any(agrees(shown, value) for shown in budget), value
+    correlated = any("Correlation" in "".join(one.itertext()) for one in parts)
+    combined = [told.json["uncertainty"][name] for name in ("type_a_deg", "type_b_deg")]
+    if not correlated:
+        assert math.hypot(*values) == pytest.approx(math.hypot(*combined), rel=1e-6)
 
 
 def test_a_verification_and_its_poses_say_one_rms(client):
