@@ -12,10 +12,14 @@ from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of
 from calrig.calibration.diagnosis.established import established
 from calrig.calibration.diagnosis.held_out import CrossValidation, without_harm
 from calrig.calibration.diagnosis.ranking import SelectedEffect
+from calrig.calibration.diagnosis.report import covariance_of
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.effects import effect_of
+from calrig.calibration.regression.channels import READING
+from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import Responses, responses_of
+from calrig.calibration.regression.spline import natural_spline
 
 RNG = np.random.default_rng(22)
 THETA_DEG = RNG.uniform(-90.0, 90.0, 60)
@@ -84,3 +88,13 @@ def test_effects_that_only_the_folds_searches_miss_are_fitted_again_in_each_fold
     kept, held_out, warnings = without_harm(findings, CrossValidation(base_deg, 2.0 * base_deg, 4))
     assert kept is findings
     assert (held_out.is_searched, held_out.is_gain, warnings) == (False, True, [])
+
+
+def test_the_coefficients_of_a_curve_are_widened_alike_so_that_their_errors_cancel_as_before() -> None:
+    r = run_of(0.05 * APPROACH)
+    curve = r.columns({READING: natural_spline(r.theta_deg, 5)})
+    columns = np.concatenate([r.base, curve], axis=2)
+    own = slice(r.base.shape[2], columns.shape[2])
+    fitted = fit(r, columns)
+    ratio = covariance_of(r, columns, fitted, curves=[own])[own, own] / fitted.covariance[own, own]
+    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-6)

@@ -46,11 +46,15 @@ from calrig.estimation.angles import FloatArray
 
 ONE_CURVE = "with a good reference each is the sensor's, and its correction is the same curve"
 SCALE = "reading.scale"
+A_WAVE = 2
+"""Columns; an effect with more is a curve."""
 DRAWS = 100
 """Which tell an error to 7 % of itself."""
 
 
-def covariance_of(r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0) -> FloatArray:
+def covariance_of(
+    r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0, curves: Sequence[slice] = ()
+) -> FloatArray:
     """Return (p, p) covariance of a fit's coefficients, each error as large as refits scatter, never smaller.
 
     Args:
@@ -58,6 +62,7 @@ def covariance_of(r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0)
         columns: (n, J, p) of the fit.
         fitted: the fit.
         seed: of the draws.
+        curves: columns of one effect, whose coefficients are certain in combination: one factor for all.
     """
     taken = max(1.0, columns.shape[2] / len(r.channels))
     noise = noise_of(fitted.residuals, r, taken, unbiased=True)
@@ -65,6 +70,8 @@ def covariance_of(r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0)
     again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
     stated = np.einsum("bpp->p", again.covariance) / DRAWS
     ratio = np.divide((again.beta**2).mean(axis=0), stated, out=np.ones_like(stated), where=stated > 0.0)
+    for own in curves:  # another factor for each would undo that their errors cancel
+        ratio[own] = ratio[own].mean()
     widened = np.sqrt(np.maximum(ratio, 1.0))
     return np.asarray(fitted.covariance * widened * widened[:, None], dtype=np.float64)
 
@@ -135,7 +142,8 @@ def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool 
     if slopes:
         columns = np.concatenate([columns, *slopes], axis=2)
         fitted = fit(r, columns)
-    return covariance_of(r, columns, fitted) if widened else fitted.covariance
+    curves = [at for at in own if at.stop - at.start > A_WAVE]
+    return covariance_of(r, columns, fitted, curves=curves) if widened else fitted.covariance
 
 
 def model_words(findings: Findings) -> str:
