@@ -101,30 +101,32 @@ class BenchRigs:
         return [rig.state(busy.get(rig.key), stops.get(rig.key)) for rig in self.all()]
 
     def looks(self) -> dict[str, BoardCheck]:
-        """What was seen of the units on rigs that are looked at, by name."""
-        return {rig.settings.name: seen for rig in self.all() if (seen := rig.seen) is not None}
+        """What was seen of the units on rigs that are looked at, by name; of benches that take orders."""
+        rigs = [rig for rig in self.all() if rig.bench.refused is None]
+        return {rig.settings.name: seen for rig in rigs if (seen := rig.seen) is not None}
 
     def known(self, name: str | None) -> BenchRig:
-        """The rig of a name; the first one without.
+        """The rig of a name; without one the first there is. Of a bench that takes orders, where one does.
 
         Raises:
             Unknown: no bench has such a rig.
-            Conflict: several have.
+            Conflict: several have that take orders, or none of several does.
         """
-        found = self.named(name)
-        if len(found) > 1:
+        named = self.named(name)
+        found = [rig for rig in named if rig.bench.refused is None] or named
+        if name is not None and len(found) > 1:
             benches = ", ".join(rig.bench.name for rig in found)
             raise Conflict(f"benches {benches} each have a rig {name!r}: give their rigs names of their own")
         return found[0]
 
     def named(self, name: str | None) -> list[BenchRig]:
-        """The rigs of a name, one unless benches were set up wrongly; the first one without.
+        """The rigs of a name, one unless benches were set up wrongly; all without.
 
         Raises:
             Unknown: no bench has such a rig.
         """
         rigs = self.all()
-        found = rigs[:1] if name is None else [rig for rig in rigs if rig.settings.name == name]
+        found = [rig for rig in rigs if name in (None, rig.settings.name)]
         if not found:
             known = ", ".join(sorted({rig.settings.name for rig in rigs})) or "none, for no bench has joined"
             raise Unknown(f"no bench has a rig {name!r}; there are: {known}")

@@ -11,7 +11,9 @@ import pytest
 from a_bench import ENDLESS, HandWritten, Rig, agent_at
 from support import wait_for
 
+from calrig.agent import orders
 from calrig.agent.agent import Command, Commands
+from calrig.agent.link import Centre
 from calrig.plan import Plan
 
 
@@ -97,13 +99,26 @@ def test_no_order_is_taken_before_a_stop_is_answered(
         go.wait()
         return {"status": 200, "detail": "the stage stands"}
 
+    looks, pending_order = [], orders.pending_order
+
+    def noted(centre: Centre, of: str) -> orders.Pending | None:
+        found = pending_order(centre, of)
+        looks.append(found)
+        return found
+
     monkeypatch.setattr(Commands, "answer_to", slowly)
+    monkeypatch.setattr(orders, "pending_order", noted)
     with agent_at(centre.bench_url, spool, rig) as agent:
         wait_for(agent.lease.is_held, "lease")
         stop = centre.command("stop", rig="bench-1")
         wait_for(lambda: centre.taken_at(stop), "stop")
         run_id = centre.order()
+        looks.clear()
         agent.look()
+        wait_for(lambda: looks, "look")
+        looks.clear()
+        agent.look()
+        wait_for(lambda: looks, "look that began after the first one had ended")
         assert centre.taken_epoch(run_id) == 0
         go.set()
         assert centre.ended(run_id).status == "completed"

@@ -82,6 +82,7 @@ def test_a_rig_is_idle_then_busy_and_refuses_a_second_run(shared_client, long_ru
         "hall": None,
         "last_seen_at": None,
         "clamp": None,
+        "stop_asked_at": None,
     }
     refused = shared_client.post("/api/runs", json={"unit": "AS-2"})
     assert refused.status_code == 409

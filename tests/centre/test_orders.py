@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import pytest
 from support import QUICK, serving, wait_for
 from table_bench import Measured, TableBench
@@ -149,6 +151,17 @@ def test_a_bench_that_takes_no_orders_is_shown_and_given_none_but_such_as_wait(
         bench.protocol = PROTOCOL
         bench.beat()
         wait_for(lambda: centre.run(run_id).error is None, "end of it")
+
+
+def test_a_second_bench_with_a_rig_of_the_name_is_refused_and_keeps_the_first_one_from_nothing(
+    centre: CentreService, bench: TableBench, plan: Plan, url: str
+):
+    with closing(TableBench(url, "hall-1")):  # by its name the first one
+        assert [(one.name, one.refused is None) for one in centre.store.benches.all()] == [
+            ("hall-1", False),
+            ("hall-2", True),
+        ]
+        assert bench.order(centre.start(unit="A", plan=plan).id).bench == "hall-2"
 
 
 def test_a_run_that_its_bench_holds_back_is_aborted_without_it(
