@@ -110,7 +110,7 @@ function unitHistory(serial, signal) {
       body,
       due(unit),
       rows.length
-        ? [h("p", { class: "muted", id: "changes-basis" }, BASIS), dataTable("Changes", HEADINGS, rows, { id: "changes-table" })]
+        ? [h("p", { class: "muted", id: "changes-basis" }, BASIS), dataTable("Changes", HEADINGS, rows, { id: "changes-table", class: "dense" })]
         : h("p", { class: "muted" }, "Changes are evaluated from two valid calibrations on."),
       drawn && chart.element,
     );

@@ -144,7 +144,7 @@ def test_both_runs_are_diagnosed_together_from_the_units_page(page, client, go, 
 def test_a_rig_whose_check_unit_fails_puts_runs_in_doubt(page, client, store, go, expect):
     go("#/")
     page.get_by_test_id("rigs").get_by_role("link", name="bench-1", exact=True).click()
-    expect(page.locator("#check")).to_contain_text("None")
+    expect(page.locator("#check")).to_contain_text("No check standard")
     expect(page.locator("#reference")).to_contain_text("No stage map")
     page.select_option("#check-unit", "U00")
     page.fill("#check-days", "7")

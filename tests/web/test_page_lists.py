@@ -9,7 +9,7 @@ import pytest
 from dated_runs import FIRST_DAY, gave, lay
 from support import LONG, ended, running_service, serving, wait_for
 
-from .page_help import imported, line_x, readings, row_of
+from .page_help import imported, line_x, readings, row_of, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -101,6 +101,7 @@ def test_on_a_phone_a_row_is_a_card_whose_cells_have_their_headings(page, client
     run = client.get("/api/runs?unit=REV-SIX").json()["items"][0]
     page.set_viewport_size(PHONE)
     go(f"#/runs/{run['id']}")
+    unfold(page, "poses")
     pose = page.locator("#poses-table [data-pose='1']")
     expect(pose).to_be_visible()
     labels = pose.locator("td").evaluate_all("cells => cells.map(cell => cell.dataset.label)")
@@ -126,7 +127,7 @@ def test_lists_without_entries_say_what_would_fill_them(rig, store_path, fresh_p
             ("#/", "No runs yet. Start a calibration above, or import poses."),
             ("#/units", "No units yet. A unit appears with its first run"),
             ("#/compare", "No units yet. A unit appears with its first run"),
-            ("#/solve", "No solution yet. Tick runs above and solve them."),
+            ("#/solve", "No solution yet. Tick runs above and press Solve."),
             ("#/noise", "None yet. Analyse a file above."),
         ):
             fresh_page.goto(str(client.base_url.join("/")) + view)

@@ -8,7 +8,7 @@ import pytest
 from clamped import clamped
 from support import wait_for
 
-from .page_help import figures_of, row_of
+from .page_help import figures_of, row_of, unfold
 
 pytestmark = pytest.mark.browser
 
@@ -50,6 +50,8 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     here = page.url
     for view in ("#/units/CLAMPED-3", f"#/runs/{runs[0]}"):
         go(view)
+        if view.startswith("#/runs/"):
+            unfold(page, "downloads")
         page.locator(".solutions a").first.click()
         page.wait_for_url(here)
     page.get_by_role("button", name="Draft a calibration of CLAMPED-3…").click()
