@@ -29,7 +29,6 @@ from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_document import line_of
 from calrig.model.plan import CALIBRATING
 from calrig.model.result import Gyro, ReferenceFigures, Result
-from calrig.model.run import RunCalibration
 from calrig.run_ids import short_name
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
@@ -161,38 +160,6 @@ def newest_of_run(store: Store, run_id: str) -> Revision:
             return one
     why = why_none(run) or why_not_now(run) or "has no revision yet"
     raise Conflict(f"run {run_id} {why}: it gives no calibration")
-
-
-def with_calibration(store: Store, run: Run) -> Run:
-    """Return a run with the revision that it made and the one in force; unchanged if it made none."""
-    revisions = store.revisions.of(run.unit) if run.result is not None else []
-    own = [one for one in revisions if one.run_id == run.id]
-    if not own:
-        return run
-    in_force = next((one for one in revisions if one.status == "in_force"), None)
-    made = in_force if in_force in own else own[0]
-    number = None if in_force is None else in_force.revision
-    found = RunCalibration(
-        revision=made.revision,
-        status=made.status,
-        in_force_revision=number,
-        says=_made_in_words(made, number),
-    )
-    return run.model_copy(update={"calibration": found})
-
-
-def _made_in_words(made: Revision, in_force: int | None) -> str:
-    state = {
-        "draft": "is a draft",
-        "in_force": "is in force",
-        "superseded": "has been superseded",
-        "withdrawn": "has been withdrawn",
-    }[made.status]
-    said = f"Revision {made.revision}, made of this run, {state}"
-    if made.status == "in_force":
-        return f"{said}."
-    other = f"revision {in_force} is" if in_force is not None else "no calibration of the unit is"
-    return f"{said}; {other} in force."
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
 import calrig
-from calrig.analysis.calibration_in_force import with_calibration
 from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.errors import Invalid
 from calrig.analysis.run_search import found_runs, moment_of
@@ -202,7 +201,7 @@ def list_runs(
 @router.get("/api/runs/{run_id}", response_model=RunAnswer, responses=problems(404), summary="One run")
 def show_run(run: KnownRun, context: Context) -> Run:
     """How far it is, what came out and where it came from."""
-    return with_calibration(context.store, with_doubts(context.store, [run])[0])
+    return with_doubts(context.store, [run])[0]
 
 
 @router.post(

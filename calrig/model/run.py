@@ -8,7 +8,6 @@ from typing import Any, Literal
 from pydantic import Field
 
 from calrig.model.base import Model
-from calrig.model.calibration import RevisionStatus
 from calrig.model.result import Result
 
 Status = Literal["queued", "running", "paused", "completed", "failed", "aborted", "interrupted"]
@@ -54,15 +53,6 @@ class Suspect(Model):
     check_run_id: str
 
 
-class RunCalibration(Model):
-    """The revision that a run made, and the one that is in force for its unit."""
-
-    revision: int = Field(description="In force, or else the newest of the run.")
-    status: RevisionStatus
-    in_force_revision: int | None = Field(description="Of the unit; null if none is in force.")
-    says: str
-
-
 class Run(Model):
     """A run (CONTRACT section 2). The store, the API and the client each add its plan and its verdict."""
 
@@ -84,6 +74,3 @@ class Run(Model):
     finished_at: datetime | None
     error: str | None
     suspect: Suspect | None = None
-    calibration: RunCalibration | None = Field(
-        None, description="Where one run is asked for; null in lists, and of a run without a revision."
-    )

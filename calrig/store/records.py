@@ -46,10 +46,7 @@ class Run(calrig.model.run.Run):
         if self.result is None:
             return None
         how = how_judged(self.plan, self.faults)
-        judged = make_verdict(self.result, self.diagnosis, limit=self.limit, **how)
-        if self.calibration is None or self.calibration.status == "in_force":
-            return judged
-        return replace(judged, says=(*judged.says, self.calibration.says))
+        return make_verdict(self.result, self.diagnosis, limit=self.limit, **how)
 
 
 class HowJudged(TypedDict):

@@ -90,27 +90,6 @@ def test_a_row_has_the_figures_of_its_document_and_their_change_against_the_one_
     assert draft["change"]["expanded_uncertainty_deg"] is None, "no reference, so U is not known"
 
 
-def test_a_run_says_which_revision_it_made_and_what_is_in_force(client, unit):
-    later, earlier = (f"/api/runs/{run['id']}" for run in client.get(unit).json()["runs"])
-
-    def told(run):
-        found = client.get(run).json()
-        made = found["calibration"]
-        assert (made["says"] in found["verdict"]["says"]) is (made["status"] != "in_force")
-        return made["revision"], made["status"], made["in_force_revision"]
-
-    assert told(later) == (2, "draft", None)
-    act(client, unit, 1, "release")
-    assert (told(earlier), told(later)) == ((1, "in_force", 1), (2, "draft", 1))
-    says = client.get(later).json()["verdict"]["says"]
-    assert says[-1] == "Revision 2, made of this run, is a draft; revision 1 is in force."
-    act(client, unit, 2, "release")
-    assert (told(earlier), told(later)) == ((1, "superseded", 2), (2, "in_force", 2))
-    act(client, unit, 2, "withdraw")
-    assert told(later) == (2, "withdrawn", None)
-    assert "no calibration of the unit is in force" in client.get(later).json()["calibration"]["says"]
-
-
 def test_release_says_what_it_supersedes_and_reasons_stand_in_the_list_and_the_feed(client, unit):
     assert act(client, unit, 1, "release", "first").json()["acts"][0]["supersedes"] is None
     assert act(client, unit, 2, "release", "newer").json()["acts"][0]["supersedes"] == 1
