@@ -89,7 +89,7 @@ class Plan(BaseModel):
         "sweeps": "Sweeps",
         "settle_s": "Settling time",
         "dwell_s": "Dwell time",
-        "jitter_deg": "Elevation jitter",
+        "jitter_deg": "Jitter",
         "rate_hz": "Sample rate",
         "target_std_deg": "Dwell until standard error",
         "velocity_dps": "Stage velocity",

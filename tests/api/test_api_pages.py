@@ -56,9 +56,9 @@ def test_a_file_has_its_type_and_is_kept_for_ever_only_under_the_digest(shared_c
 LATER = re.findall(
     r"\w+",
     """
-    amend ask benches benchfilters benchtable calibrations certificate charts compare diagnosis effect
+    amend benches benchfilters benchtable calibrations certificate charts compare diagnosis effect
     effects fold followup import interrupted limits live longwork next noise paper plandesign poses provenance
-    queue queuebell queueclock queueform queuekeys queuerig result rig run runhead solution solve stream
+    queue queuebell queueclock queueform queuekeys queuerig result rig run runhead solution solutions solve stream
     timeline together trail unitlist units upload users waiting
     """,
 )

@@ -52,6 +52,7 @@ NEEDED = {
     "/api/imports": "operator",
     "/api/solve": "operator",
     "/api/limits": "admin",
+    "/api/trail/backups": "operator",
     "/api/log-studies/{study_id}": "operator",
     "/api/jobs/{job_id}": "operator",
     "/api/users": "admin",

@@ -160,7 +160,7 @@ def test_a_rig_whose_check_unit_fails_puts_runs_in_doubt(page, client, store, go
     go("#/rigs/bench-1")
     page.reload()
     expect(page.locator("#check .headline")).to_contain_text("fails")
-    expect(page.locator("#reference .headline")).to_contain_text("Not known")
+    expect(page.locator("#reference .headline")).to_contain_text("Not yet checked")
     expect(page.locator("#reference")).to_contain_text("map")
     page.click("#withdraw-map")
     page.get_by_test_id("confirm").click()

@@ -51,7 +51,7 @@ def test_runs_of_a_unit_are_solved_from_its_page(page, client, go, expect, runs)
     for view in ("#/units/CLAMPED-3", f"#/runs/{runs[0]}"):
         go(view)
         if view.startswith("#/runs/"):
-            unfold(page, "downloads")
+            unfold(page, "files")
         page.locator(".solutions a").first.click()
         page.wait_for_url(here)
     page.get_by_role("button", name="Draft a calibration of CLAMPED-3…").click()
