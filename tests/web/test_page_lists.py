@@ -150,6 +150,7 @@ def test_the_time_axis_of_a_rig_with_faster_clocks_is_the_time_on_the_wall(
         wall_s = [time_s / 20.0 for time_s in readings(client, run["id"])]
         assert live == wall_s[: len(live)]
         fresh_page.reload()
+        unfold(fresh_page, "charts")
         axis = fresh_page.get_by_test_id("timeline").locator(".xtitle")
         expect(axis).to_have_text("time (s), simulated clocks 20× faster")
         assert line_x(fresh_page, "timeline") == wall_s
