@@ -122,9 +122,16 @@ class HandWritten:
         return self._one("SELECT held_epoch FROM run_order WHERE run_uid = %s", run_id)
 
     def in_touch(self) -> None:
-        """Waits until a bench that was begun just now takes orders: what was ordered before it holds back."""
+        """Waits until a bench that was begun just now takes orders.
+
+        It holds back what was ordered before; where it was sooner than this order, a later heartbeat tells.
+        """
         before = self.order(rig="bench-9")
-        wait_for(lambda: self.held_epoch(before), "bench")
+        is_there = (
+            "SELECT held_epoch > 0 OR EXISTS (SELECT FROM bench WHERE last_seen_at > ordered_at) "
+            "FROM run_order WHERE run_uid = %s"
+        )
+        wait_for(lambda: self._one(is_there, before), "bench")
 
     def tell(self) -> None:
         """Says to the bench that there may be an order."""

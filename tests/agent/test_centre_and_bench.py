@@ -80,7 +80,7 @@ def test_a_bench_whose_clock_is_a_minute_off_takes_no_orders_and_says_why(
         (bench,) = page.get("/api/benches").raise_for_status().json()
         return bench["clock_skew_s"], bench["clock"]
 
-    with agent_at(centre.bench_url, spool, rig) as agent:
+    with agent_at(centre.bench_url, spool, rig, is_accepted=False) as agent:
         run_id = started(page)
         skew_s, why = wait_for(
             lambda: (found := said())[0] is not None and found, "what it says of its clock"
@@ -94,6 +94,8 @@ def test_a_bench_whose_clock_is_a_minute_off_takes_no_orders_and_says_why(
         assert not agent.lease.is_held()
         assert run_of(page, run_id)["status"] == "queued"
         ahead_s = 10.0
+        wait_for(lambda: run_of(page, run_id)["error"], "run that is held back")
+        page.post(f"/api/runs/{run_id}/resume").raise_for_status()
         assert ended(page, run_id)["status"] == "completed"
         said_then = wait_for(
             lambda: (found := said()[1]) and "takes no" not in found and found, "other words"

@@ -160,7 +160,10 @@ def test_serials_come_from_a_table(shared_client, table, serials, left_out):
         ({"units": ["A", "B\u0007"]}, "serial 2, 'B\\x07'"),
         ({"units": [f"U{k}" for k in range(2001)]}, "at most 2000"),
         ({"units": ["A"], "plan": {"stop_deg": 100}}, "beyond"),
-        ({"units": ["A"], "plan": {"until": {"expanded_uncertainty_deg": 0.3}}}, "the stage's uncertainty alone makes it"),
+        (
+            {"units": ["A"], "plan": {"until": {"expanded_uncertainty_deg": 0.3}}},
+            "uncertainty alone makes it",
+        ),
         ({"csv": "unit\n"}, "no serial number"),
         ({"csv": "sep=;\nunit\nA\nB\u0007\n"}, "line 4, 'B\\x07'"),
         ({"csv": "unit\n\ufffd-1\n"}, "UTF-8"),

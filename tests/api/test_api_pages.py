@@ -58,8 +58,8 @@ LATER = re.findall(
     """
     amend benches benchfilters benchtable calibrations certificate charts compare diagnosis effect
     effects fold followup import interrupted limits live longwork next noise paper plandesign poses provenance
-    queue queuebell queueclock queueform queuekeys queuerig result rig run runhead solution solutions solve stream
-    timeline together trail unitlist units upload users waiting
+    queue queuebell queueclock queueform queuekeys queuerig result rig run runhead solution solutions solve
+    stream timeline together trail unitlist units upload users waiting
     """,
 )
 """Modules of pages that are fetched when somebody goes there."""

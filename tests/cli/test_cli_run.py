@@ -95,7 +95,8 @@ def test_the_same_in_words(tmp_path):
 
 
 def test_what_cannot_be_reached_is_one_line(tmp_path):
-    assert "a stage map, which Solve finds" in reason("plan", "--target-u", "0.1", "--db", tmp_path / "none.db", status=1)
+    unreached = reason("plan", "--target-u", "0.1", "--db", tmp_path / "none.db", status=1)
+    assert "a stage map, which Solve finds" in unreached
     assert "--target-u DEG, or --time S" in reason("plan", "--db", tmp_path / "none.db", status=2)
 
 

@@ -22,7 +22,7 @@ from calrig.calibration.plan_design.smallest_effects import imagined_dwells, sus
 from calrig.calibration.uncertainty.budget import Reference, uncertainty
 from calrig.instruments.axis import travel_time_s
 from calrig.plan import Plan
-from calrig.runs.plan_estimates import HOMING_AND_START_S, QUESTIONS_S
+from calrig.runs.plan_estimates import HOMING_S, QUESTIONS_S, START_S
 
 from . import trial
 
@@ -33,7 +33,7 @@ STAGE = Reference(0.29)
 def fixed_s() -> float:
     poses = [pose.target_deg for pose in Plan().poses((-90.0, 90.0))]
     moves_s = sum(trial.travel_s(abs(b - a)) for a, b in zip([0.0, *poses], poses, strict=False))
-    return HOMING_AND_START_S + moves_s + len(poses) * (1.0 + 2.0 + QUESTIONS_S)
+    return HOMING_S + START_S + moves_s + len(poses) * (1.0 + 2.0 + QUESTIONS_S)
 
 
 def stated_deg(order, dwell_s, reference, runs=200):

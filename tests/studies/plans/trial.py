@@ -21,7 +21,7 @@ from calrig.calibration.results.result import build_result
 from calrig.calibration.uncertainty.budget import Reference, uncertainty
 from calrig.instruments.axis import travel_time_s
 from calrig.plan import Plan
-from calrig.runs.plan_estimates import HOMING_AND_START_S, QUESTIONS_S
+from calrig.runs.plan_estimates import HOMING_S, QUESTIONS_S, START_S
 from tests.studies.blind.causes import Draw
 from tests.studies.blind.layout import ACCELERATION_DPS2, Layout, timeline
 from tests.studies.blind.physics import Noise, measure
@@ -36,7 +36,7 @@ def travel_s(distance_deg: float) -> float:
     return travel_time_s(distance_deg, VELOCITY_DPS, ACCELERATION_DPS2)
 
 
-PACE = Pace(travel_s, SETTLE_S, QUESTIONS_S, HOMING_AND_START_S, pass_s=QUESTIONS_S)
+PACE = Pace(travel_s, SETTLE_S, QUESTIONS_S, HOMING_S + START_S, pass_s=QUESTIONS_S)
 
 
 def task(reference: Reference, *, trace: bool, sweeping: bool = False) -> DesignProblem:
@@ -55,7 +55,7 @@ def stage_time_s(plan: Layout) -> float:
     """Of a plan on that stage: begin, moves, settling, questions and dwells."""
     places = [0.0, *plan.target_deg.tolist()]
     moves_s = sum(travel_s(abs(after - before)) for before, after in pairwise(places))
-    return HOMING_AND_START_S + moves_s + (len(places) - 1) * (plan.settle_s + plan.dwell_s + QUESTIONS_S)
+    return HOMING_S + START_S + moves_s + (len(places) - 1) * (plan.settle_s + plan.dwell_s + QUESTIONS_S)
 
 
 def expected_deg(plan: Layout, reference: Reference) -> float:
