@@ -162,7 +162,7 @@ def test_serials_come_from_a_table(shared_client, table, serials, left_out):
         ({"units": ["A"], "plan": {"stop_deg": 100}}, "beyond"),
         (
             {"units": ["A"], "plan": {"until": {"expanded_uncertainty_deg": 0.3}}},
-            "uncertainty alone makes it",
+            "alone makes it 0.",
         ),
         ({"csv": "unit\n"}, "no serial number"),
         ({"csv": "sep=;\nunit\nA\nB\u0007\n"}, "line 4, 'B\\x07'"),
