@@ -174,5 +174,5 @@ def test_a_rig_whose_check_unit_fails_puts_runs_in_doubt(page, client, store, go
     go("#/rigs/bench-1")
     page.click("#drop-check")
     page.get_by_test_id("confirm").click()
-    expect(page.locator("#check")).to_contain_text("None")
+    expect(page.locator("#check")).to_contain_text("No check standard")
     assert client.get(f"/api/runs/{during.id}").json()["suspect"] is None
