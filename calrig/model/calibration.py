@@ -81,6 +81,9 @@ class Calibration(Model):
     uncertainty: Uncertainty
     temperature_c: Extremes | None
     provenance: dict[str, Any]
+    degrees_of_freedom: float | None = Field(
+        default=None, description="Of the standard errors of bias and scale; null in older documents."
+    )
     readings_wrap: bool | None = Field(
         default=None,
         description="Whether readings start anew after 360°, as the poses show; null where they do not, and "

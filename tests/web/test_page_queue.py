@@ -28,6 +28,14 @@ LISTENING = """
 ODD = "Ä <b>7</b>\u202e\"'&#/%2F"
 
 
+@pytest.fixture(scope="module")
+def client(launch_rig, tmp_path_factory):
+    """A service with a rig of its own: no other service moves the stage from where this one left it."""
+    path = tmp_path_factory.mktemp("queue") / "calrig.db"
+    with running_service(path, launch_rig()) as service, serving(service) as client:
+        yield client
+
+
 @pytest.fixture
 def forgiven():
     return [r"(409|422) \(", "ERR_FAILED"]
