@@ -81,6 +81,7 @@ def test_the_keyboard_reaches_it_in_three_steps(page, client, go, expect):
     run = client.post("/api/runs", json={"unit": "A", "plan": LONG}).raise_for_status().json()
     go(f"#/runs/{run['id']}")
     expect(page.locator("#abort")).to_be_visible()
+    expect(page.locator("button.stop")).to_be_visible()  # the header reads the rigs by itself
     for _ in range(3):
         page.keyboard.press("Tab")
     expect(page.locator("button.stop")).to_be_focused()
