@@ -120,7 +120,7 @@ def damage(store: Store, run: Run, what: str) -> None:
         )
 
 
-@pytest.mark.parametrize("what", ["reading_deg = reading_deg + 1", "reading_deg = 'warm'"])
+@pytest.mark.parametrize("what", ["reading_deg = reading_deg + 1", "reading_deg = 'NaN'"])
 def test_a_run_that_cannot_be_read_is_a_line_of_the_report(store, runs, processes, what):
     whole = reanalyse(store, store, processes, unseen)
     damage(store, runs["noise"], what)
