@@ -5,7 +5,6 @@ import { remove, serviceError } from "./api.js";
 import { hallOf, inOrder, keyOf } from "./benchfilters.js";
 import { button, errorLine, fill, h, headings, rigHref, runHref, runLink, runName, statusPill, unitLink } from "./dom.js";
 import { duration, fixed, moment, plural } from "./format.js";
-import { isHeld } from "./interrupted.js";
 import { may } from "./me.js";
 import { stopButton } from "./stop.js";
 
@@ -146,7 +145,7 @@ class RigRow {
     });
     this.#showProgress(run, kind);
     this.#write("queued", queued.map((one) => one.id), () => fill(this.waiting, queueWords(queued)));
-    const held = [run, ...queued].filter((one) => one?.status === "queued" && isHeld(one)).map((one) => one.id);
+    const held = [run, ...queued].filter((one) => one?.held).map((one) => one.id);
     this.#write("trouble", [stop_asked_at, held, unresolved?.id, unresolved?.status, check?.overdue && check], () => {
       const stop = stop_asked_at && stopWaits(stop_asked_at, this.name);
       const asks = held.length > 0 && waitsForAPerson(held);

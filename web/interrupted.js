@@ -32,7 +32,7 @@ function measuredAgain({ target_deg, before_deg, after_deg, difference_deg, diff
  */
 export function wayOn(run, place, ask) {
   const verbButton = (id, verb, text) => button(text, () => ask(verb), { id });
-  if (run.status === "queued" && isHeld(run)) return h("div", { class: "buttons" }, verbButton("go-held", "resume", "Continue"));
+  if (run.held) return h("div", { class: "buttons" }, verbButton("go-held", "resume", "Continue"));
   if (["failed", "aborted"].includes(run.status)) return startAgain(run);
   if (run.status !== "interrupted") return null;
   return h(
@@ -72,9 +72,6 @@ function startAgain({ id, unit, plan, follows }) {
   if (plan.kind === "verification") return link(unitHref(unit), "Verify again");
   return link(`#/?again=${encodeURIComponent(id)}`, "Start again");
 }
-
-/** Whether a queued run waits for a person, and not for its bench, as its reason says. */
-export const isHeld = ({ error }) => /says Go \(resume\)/.test(error ?? "");
 
 /** Whether the position of the run's stage may have to be entered. */
 export function hasNoHoming(run) {

@@ -5,7 +5,7 @@
 from datetime import datetime
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, computed_field
 
 from calrig.model.base import Model
 from calrig.model.result import Result
@@ -20,6 +20,9 @@ TERMINAL: tuple[Status, ...] = ("completed", "failed", "aborted")
 
 AT_REST: tuple[Status, ...] = (*TERMINAL, "interrupted")
 """No process executes the run: it has ended, or was interrupted and can be resumed."""
+
+UNTIL_GO = "it begins once somebody says Go (resume)"
+"""How the reason of a queued run ends that waits for a person, where nothing starts by itself."""
 
 
 class Mount(Model):
@@ -74,3 +77,9 @@ class Run(Model):
     finished_at: datetime | None
     error: str | None
     suspect: Suspect | None = None
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def held(self) -> bool:
+        """Whether the queued run begins only once a person resumes it."""
+        return self.status == "queued" and (self.error or "").endswith(UNTIL_GO)

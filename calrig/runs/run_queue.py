@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from calrig.analysis.errors import Conflict, RunsError
 from calrig.instruments.errors import InstrumentError
 from calrig.instruments.standstill import CUT
+from calrig.model.run import UNTIL_GO
 from calrig.runs.recorder import Bus, ServiceMetrics
 from calrig.runs.rig import is_lost_since, resumed_by, stop_stage
 from calrig.runs.stopping import STOPPED
@@ -24,7 +25,7 @@ from calrig.store.trail import Request
 
 log = logging.getLogger(__name__)
 
-HELD = "the service was started anew while this run waited its turn: it begins once somebody says Go (resume)"
+HELD = f"the service was started anew while this run waited its turn: {UNTIL_GO}"
 
 
 class RunQueue:

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 from sqlalchemy import and_, delete, not_, text, update
 from sqlmodel import Session, col, func, select
 
-from calrig.model.run import UNFINISHED
+from calrig.model.run import UNFINISHED, UNTIL_GO
 from calrig.run_ids import new_run_id
 from calrig.store import event_log, trail
 from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
@@ -31,10 +31,7 @@ NOT_TAKEN = and_(col(RunOrderTable.taken_epoch) < col(RunOrderTable.epoch), col(
 """Of an order that its bench may still take."""
 IS_HELD = and_(NOT_TAKEN, col(RunOrderTable.held_epoch) >= col(RunOrderTable.epoch))
 """Of an order that its bench takes once somebody has ordered it anew."""
-HELD = (
-    "the bench was started anew, or lost its centre, while this run waited: it begins once somebody says Go "
-    "(resume)"
-)
+HELD = f"the bench was started anew, or lost its centre, while this run waited: {UNTIL_GO}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,16 +74,15 @@ def test_what_waited_when_the_service_ended_begins_once_somebody_says_go(
     mark_interrupted(store, {}, keeps_queue=True)
     again = serve(bench)
     assert again.run(first.id).status == "interrupted"
-    assert [(again.run(run.id).status, again.run(run.id).error) for run in (second, third)] == [
-        ("queued", HELD)
-    ] * 2
+    for run in (again.run(second.id), again.run(third.id)):
+        assert (run.status, run.held, run.error) == ("queued", True, HELD)
     assert again.rigs()[0].state == "idle"
     assert again.wait(begin(again, SHORT).id, 30).status == "completed", "what is held keeps nobody waiting"
     assert again.run(second.id).status == "queued"
     again.abort(fourth.id)
     assert again.resume(third.id).status in {"queued", "running"}
     until(lambda: again.run(third.id).status == "completed", "end")
-    assert again.run(third.id).error is None
+    assert (again.run(third.id).held, again.run(third.id).error) == (False, None)
     assert "interrupted" not in again.run(third.id).faults
     again.stop("bench-1")
     assert again.run(second.id).status == "aborted", "a stop calls off what is held as well"
