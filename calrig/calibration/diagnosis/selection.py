@@ -436,25 +436,39 @@ def _search(
     met: set[object] = set()
     is_compared = False  # every effect thoroughly with its competitors, as all others are now
 
-    def judged(model: Model) -> Verdict:
+    def judged(model: Model, earlier: Verdict | None = None) -> Verdict:
+        """Judge all that may enter a model, or what has not been refused since an earlier verdict on it."""
+
         def columns_with(more: Sequence[Candidate]) -> FloatArray:
             return model_columns(model.responses, [*model.accepted, *more])
 
         seen, companions = model.responses, companions_of(model.accepted)
-        those = offered(seen, candidates, model.accepted, refused)
         key = model_of(seen, model.accepted)
-        verdict = judge(seen, columns_with, model.fitted, those, companions=companions, known=noises.get(key))
+        if earlier is None:
+            those, trial = offered(seen, candidates, model.accepted, refused), None
+        else:
+            those, trial = [c for c in earlier.candidates if c.label not in refused], earlier.trial
+        verdict = judge(
+            seen,
+            columns_with,
+            model.fitted,
+            those,
+            companions=companions,
+            known=noises.get(key),
+            earlier=trial,
+        )
         if verdict.drawn is not None:
             drawn[key] = verdict.drawn
         return verdict
 
+    earlier: Verdict | None = None  # of the same model, before the last candidate was refused
     while True:
         accepted = [f.candidate for f in found]
         state = len(kept), frozenset(refused), frozenset(_place_of(c) for c in accepted)
         if state in met:
             break
         model = fitted_model(r, accepted)
-        verdict = judged(model)
+        verdict, earlier = judged(model, earlier), None
         apart = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
         if apart is not None:
             others = np.delete(np.arange(len(r)), apart)
@@ -467,6 +481,7 @@ def _search(
             steps, no_worth = _entering(r, model, accepted, verdict, judged, rivals)
             if no_worth is not None:
                 refused.add(no_worth)
+                earlier = verdict
                 continue
         if not steps:
             if rivals is not None or is_compared:
@@ -479,6 +494,7 @@ def _search(
         entered = with_known_places(r, candidates, entered)
         if found and not is_admissible(r, [f.candidate for f in entered]):
             refused.add(steps[0].candidate.label)
+            earlier = verdict
             continue
         found, dropped = eliminated(r, entered, len(known))
         refused.update(dropped)
