@@ -1,6 +1,7 @@
 """How many threads linear algebra takes: one, since it works on matrices of a few hundred rows.
 
-A second thread would spend its time in waiting for the first, and on a busy machine multiplies processor time.
+A second thread would spend its time in waiting for the first: on a busy machine a diagnosis then takes
+several times the processor time.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VEC
 
 
 def have_one_thread() -> None:
-    """Have linear algebra take one thread, unless the environment says otherwise; before numpy is imported."""
+    """Have linear algebra take one thread, unless the environment says otherwise.
+
+    It is too late once numpy has been imported.
+    """
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")

@@ -229,6 +229,11 @@ def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
     flat = candidates.columns.reshape(channels, -1, n)
     within = values.unwhitened @ np.swapaxes(flat, 1, 2)
     within -= values.of_base @ candidates.inside
+    if channels == 1:  # the columns are orthonormal there, so that each takes its own square
+        np.square(within, out=within)
+        taken = within.reshape(-1, width, count).sum(axis=1)
+        taken /= values.power[0][:, None]
+        return np.asarray(np.maximum(1.0 - taken, SMALLEST), dtype=np.float32)
     total = within.sum(axis=0).reshape(-1, width, count)
     within = within.reshape(channels, -1, width, count)
     left = np.ones_like(total[:, 0])

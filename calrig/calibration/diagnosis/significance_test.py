@@ -439,7 +439,7 @@ class Trial:
     def _of_labels(self, gained: FloatArray) -> FloatArray:
         """Return (b, L) the largest of each label's gains (b, F)."""
         gains = np.full((len(gained), len(self.labels)), -np.inf)
-        np.maximum.at(gains, (slice(None), self._label_of), gained)
+        np.maximum.at(gains, (np.arange(len(gained))[:, None], self._label_of), gained)
         return gains
 
     def _best_of_forms(self, ratios: Float32Array) -> tuple[Intp, FloatArray]:

@@ -429,6 +429,7 @@ def _lasts_s(pose: Pose) -> float:
     return (pose.n_samples or 0) / pose.filtering.rate_hz if pose.filtering else 0.0
 
 
+AS_IN_CONTRACT = Filtering()
 SETTLE_S = 1.0
 """Where a pose does not say how long it settled: the default of a plan."""
 FORGOTTEN = 1e-9
@@ -460,7 +461,7 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     times the move: at 200 Hz as much as of a gyro that is wrong by −0.4 %. Where the poses tell g, κ is that
     of both, κ + λ/g.
     """
-    known = [pose.filtering or Filtering() for pose in poses]
+    known = [pose.filtering or AS_IN_CONTRACT for pose in poses]
     settle_s = np.array([SETTLE_S if pose.settle_s is None else pose.settle_s for pose in poses])
     dwell_s = np.array([_dwell_s(pose, f) for pose, f in zip(poses, known, strict=True)])
     between_s = _between_s(poses, settle_s, dwell_s)
@@ -469,7 +470,7 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     move_s = np.maximum(np.minimum(between_s, travel_s), SHORTEST_MOVE_S)
     settle_s = settle_s + np.maximum(between_s - move_s, 0.0)
     share, lead = np.empty(len(poses)), np.empty(len(poses))
-    for noise, rate_hz in {(f.noise, f.rate_hz) for f in known}:
+    for noise, rate_hz in {(f.noise, f.rate_hz) for f in {id(f): f for f in known}.values()}:
         of_filter = np.array([(f.noise, f.rate_hz) == (noise, rate_hz) for f in known])
         share[of_filter], lead[of_filter] = _share_and_lead(
             noise, rate_hz, settle_s[of_filter], dwell_s[of_filter], move_s[of_filter]
