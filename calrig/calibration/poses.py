@@ -126,7 +126,8 @@ class Pose:
 
         The stage's angle is put right by its map, where one was in force.
         """
-        return self.dial_deg + wrap_deg(self.mount_deg) + (self.map_deg or 0.0)
+        theta_deg = self.dial_deg + (self.map_deg or 0.0)
+        return theta_deg + wrap_deg(self.mount_deg) if MOUNT_DEG in self.covariates else theta_deg
 
     def row(self) -> dict[str, float | int | None]:
         """Return the pose as CONTRACT section 4's columns, covariates after them."""

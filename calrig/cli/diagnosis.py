@@ -58,7 +58,6 @@ def diagnose(
     from calrig.calibration.poses import DiagnosisError
     from calrig.calibration.regression import DiagnosisRequest
     from calrig.cli import output
-    from calrig.client.documents import typed
     from calrig.figures.files import writer_of
     from calrig.model.diagnosis import Diagnosis
 
@@ -77,8 +76,12 @@ def diagnose(
         raise InputError(f"{', '.join(sources)}: {error}") from error
     if as_json:
         output.print_json(found)
+    elif files:
+        output.print_diagnosis(Diagnosis.model_validate(found, extra="allow"), of_files=True)
     else:
-        output.print_diagnosis(typed(Diagnosis, found), of_files=bool(files))
+        from calrig.client.documents import typed
+
+        output.print_diagnosis(typed(Diagnosis, found), of_files=False)
     if write is not None:
         write(", ".join(sources), _drawn(found, poses_of()))
 

@@ -5,6 +5,8 @@ import os
 import sys
 from pathlib import Path
 
+from calrig.processes.threads import have_one_thread
+
 OBJECTS_BETWEEN_LOOKS = gc.get_threshold()
 """Of the garbage collector, as Python has it."""
 WHILE_LOADING = 100_000
@@ -14,6 +16,7 @@ WHILE_LOADING = 100_000
 def main() -> None:
     """Loads the commands and carries out what was typed."""
     gc.set_threshold(WHILE_LOADING)
+    have_one_thread()
     _have_outputs()
     try:
         from calrig.cli.main import main as carry_out

@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import Protocol, TypeVar
 
 from calrig.processes import child
+from calrig.processes.threads import ONE_THREAD
 from calrig.processes.turns import Turns
 
 T = TypeVar("T")
@@ -27,7 +28,6 @@ MOST_WAITING_ALL = 256
 LONGEST_S = 300.0
 MOST_BYTES = 4_000_000_000
 """Of one process; less on a machine where all of them together would take more than half the memory."""
-ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 BUFFER_BYTES = 1_000_000
 ENDS_S = 5.0
 """How long a process may take to end once its pipe is closed."""

@@ -7,7 +7,7 @@ import pytest
 from studies.blind.cells import CELLS
 
 from calrig.calibration.diagnosis.candidates import candidates_of, model_columns
-from calrig.calibration.diagnosis.significance_test import DrawnFits
+from calrig.calibration.diagnosis.drawn_fits import DrawnFits
 from calrig.calibration.regression.noise_model import (
     ITERATIONS,
     NoiseModel,

@@ -10,7 +10,7 @@ from posed import posed
 
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
 from calrig.calibration.diagnosis.screen import Screen
-from calrig.calibration.diagnosis.significance_test import Verdict, gate
+from calrig.calibration.diagnosis.significance_test import Trial, Verdict, gate
 from calrig.calibration.regression.noise_model import NoiseModel, fit
 from calrig.calibration.regression.responses import Responses, responses_of
 
@@ -137,3 +137,23 @@ def test_where_physics_forbids_all_that_lead_something_is_found_all_the_same() -
     off_deg = 40.0 * np.sin(np.radians(targets_deg))  # no scale is off its axis by so much of its radius
     r = run_of(targets_deg, targets_deg + off_deg + rng.normal(0.0, 0.03, len(targets_deg)))
     assert judged(r, 99).p_value <= 0.02
+
+
+def test_once_the_best_is_refused_the_others_are_judged_by_the_same_draws() -> None:
+    r = readings_of_a_drifting_rig(drift_deg=0.6)
+    first = judged(r, 999)
+    refused = first.candidates[int(np.argmax(first.ratios))].label
+    others = [c for c in first.candidates if c.label != refused]
+
+    def among_others(rng: np.random.Generator, earlier: Trial | None = None) -> Verdict:
+        def columns_with(more: Sequence[Candidate]) -> np.ndarray:
+            return model_columns(r, more)
+
+        return gate(r, columns_with, fit(r, r.base), others, rng, 999, 0.01, earlier=earlier)
+
+    rng = np.random.default_rng(1)
+    again, anew = among_others(rng, first.trial), among_others(np.random.default_rng(1))
+    assert rng.bit_generator.state == np.random.default_rng(1).bit_generator.state, "it drew noise again"
+    assert again.candidates == others
+    assert (again.gain, again.passes, again.p_value) == (anew.gain, anew.passes, anew.p_value)
+    assert again.ratios == pytest.approx(anew.ratios, abs=1e-3)

@@ -117,6 +117,31 @@ def test_outputs_that_the_shell_has_closed_take_everything(folder):
     assert done.stderr.startswith("· ")
 
 
+TOLD_AT_THE_END = """
+import atexit, os, sys
+told = lambda: print(os.environ["OPENBLAS_NUM_THREADS"], "scipy.signal" in sys.modules, file=sys.stderr)
+atexit.register(told)
+from calrig.cli.start import main
+main()
+"""
+
+
+@pytest.mark.parametrize("asked", [None, "2"])
+def test_a_diagnosis_takes_one_thread_unless_told_and_loads_no_signal_package(folder, asked):
+    """Where other programs work too, a second thread has cost several times the processor time."""
+    rows = [f"{5 * k},{5.01 * k + 0.02 * (k * k % 7)}" for k in range(12)]
+    (folder / "dozen.csv").write_text("\n".join(["target_deg,reading_deg", *rows]), encoding="utf-8")
+    env = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run(
+        [sys.executable, "-c", TOLD_AT_THE_END, "diagnose", "dozen.csv"],
+        env=env if asked is None else {**env, "OPENBLAS_NUM_THREADS": asked},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, f"{asked or 1} False\n")
+
+
 @contextmanager
 def served(*arguments):
     """`calrig serve` on a free port: the process, and a client of it."""

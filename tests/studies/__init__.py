@@ -20,4 +20,7 @@ The tests among them are collected with all others.
 import sys
 from pathlib import Path
 
+from calrig.processes.threads import have_one_thread
+
+have_one_thread()
 sys.path.insert(0, str(Path(__file__).parents[1]))  # as pytest does for what tests share

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -164,6 +165,59 @@ def _orthonormal_turn(rows: FloatArray, before: FloatArray | None = None) -> Flo
 
 LEFT_BEHIND = 60.0
 """Of the criterion: so far behind, a fit that bends by the noise stays linear: it is worth 12 at most."""
+KEPT = 4
+"""Models whose candidates may be asked for again: after one of them has been refused, all others are."""
+
+
+@dataclass(slots=True)
+class _BesideModel:
+    """A candidate's fit in addition to a model, as far as it has come.
+
+    Attributes:
+        curve: of the model with it.
+        criterion, beta: of the last fit.
+        bent_by: of a channel's residuals, how far these are from those of the curve; 0 of one at rest.
+        steps: fits so far.
+    """
+
+    curve: Curve
+    criterion: float
+    beta: FloatArray
+    bent_by: float = math.inf
+    steps: int = 0
+
+    def take(self, criterion: float, beta: FloatArray, residuals: FloatArray) -> None:
+        """Take the next fit, with residuals (n, J)."""
+        self.criterion, self.beta = criterion, beta[: self.curve.width]
+        self.bent_by = self.curve.bent_by(self.beta, residuals) if self.curve.bends else 0.0
+        self.steps += 1
+
+    def bends_yet(self, behind: float) -> bool:
+        """Return whether it is worth another fit about its coefficients.
+
+        Not one so far behind the best, in its penalised criterion, that bending so little does not matter.
+        """
+        by = self.bent_by
+        return by >= NEGLIGIBLE and behind < LEFT_BEHIND * max(by, 1.0) and self.curve.is_possible(self.beta)
+
+
+class _Model:
+    """What has been fitted in addition to a model."""
+
+    def __init__(self, r: Responses, accepted: tuple[Candidate, ...]) -> None:
+        at = self.at = fitted_model(r, accepted)
+
+        def columns_with(more: Sequence[Candidate]) -> FloatArray:
+            return model_columns(at.responses, [*at.accepted, *more])
+
+        self.fits = CandidateFits(at.responses, columns_with)
+        self.beside: dict[Candidate, _BesideModel] = {}
+        self.refined: dict[Candidate, Refined] = {}
+
+
+@lru_cache(maxsize=KEPT)
+def _model(r: Responses, accepted: tuple[Candidate, ...]) -> _Model:
+    return _Model(r, accepted)
 
 
 def fitted_beside(
@@ -173,40 +227,33 @@ def fitted_beside(
 
     All are fitted at once, linear about what is accepted; once more, and again, those that bend.
     """
-    at = fitted_model(r, accepted)
-    curves = [Curve(r, [*accepted, candidate]) for candidate in shortlist]
+    model = _model(r, tuple(accepted))
+    new = [candidate for candidate in shortlist if candidate not in model.beside]
+    if new:
+        fitted = model.fits.of(new, [candidate.columns for candidate in new])
+        for c, *answer in zip(new, fitted.criterion.tolist(), fitted.beta, fitted.residuals, strict=True):
+            model.beside[c] = one = _BesideModel(Curve(r, [*accepted, c]), 0.0, np.empty(0))
+            one.take(*answer)
     penalties = [float(np.log(len(r))) * candidate.parameters for candidate in shortlist]
-
-    def columns_with(more: Sequence[Candidate]) -> FloatArray:
-        return model_columns(at.responses, [*at.accepted, *more])
-
-    straight = fit_candidates(at.responses, columns_with, shortlist)
-    fitted = list(zip(straight.criterion.tolist(), straight.beta, straight.residuals, strict=True))
-    found = [(criterion, beta) for criterion, beta, _ in fitted]
-    bent = list(range(len(shortlist)))
-    for step in range(1 + MOST_STEPS):
-        if step > 0:
-            fitted = _fitted_straightened(r, [curves[k].straightened(found[k][1]) for k in bent])
-        for k, (criterion, beta, _) in zip(bent, fitted, strict=True):
-            found[k] = criterion, beta[: curves[k].width]
-        least = min(criterion + penalty for (criterion, _), penalty in zip(found, penalties, strict=True))
-        bent = [
-            k
-            for k, (criterion, _, residuals) in zip(bent, fitted, strict=True)
-            if _bends_yet(
-                curves[k],
-                found[k][1],
-                residuals,
-                # linear, a delay leaves what it does to the effects that it moves: it is not behind yet
-                0.0 if _is_delay(shortlist[k]) else criterion + penalties[k] - least,
-            )
+    found = [model.beside[candidate] for candidate in shortlist]
+    while True:
+        penalised = [one.criterion + penalty for one, penalty in zip(found, penalties, strict=True)]
+        # linear, a delay leaves what it does to the effects that it moves: it is not behind yet
+        behind = [
+            0.0 if _is_delay(c) else criterion - min(penalised)
+            for c, criterion in zip(shortlist, penalised, strict=True)
         ]
-        if not bent:
+        bent = [k for k, one in enumerate(found) if one.bends_yet(behind[k])]
+        stepping = [found[k] for k in bent if found[k].steps <= MOST_STEPS]
+        if not stepping:
             break
+        steps = [one.curve.straightened(one.beta) for one in stepping]
+        for one, again in zip(stepping, _fitted_straightened(r, steps), strict=True):
+            one.take(*again)
     for k in bent:  # it does not come to rest: the linear fit
         linear = fit(r, model_columns(r, [*accepted, shortlist[k]]))
-        found[k] = linear.criterion, linear.beta
-    return [(criterion, beta[curve.own[-1]]) for (criterion, beta), curve in zip(found, curves, strict=True)]
+        found[k].criterion, found[k].beta, found[k].bent_by = linear.criterion, linear.beta, 0.0
+    return [(one.criterion, one.beta[one.curve.own[-1]]) for one in found]
 
 
 def _is_delay(candidate: Candidate) -> bool:
@@ -220,17 +267,6 @@ def _fitted_straightened(
     values = np.stack([straight.values for straight, _ in steps])
     fitted = fits(r, values, side_by_side([model_columns(*step) for step in steps]))
     return list(zip(fitted.criterion.tolist(), fitted.beta, fitted.residuals, strict=True))
-
-
-def _bends_yet(curve: Curve, beta: FloatArray, residuals: FloatArray, behind: float) -> bool:
-    """Return whether a linear fit (p,), with residuals (n, J), is worth another about its coefficients.
-
-    Not one so far behind the best, in its penalised criterion, that bending so little does not matter.
-    """
-    if not curve.bends:
-        return False
-    by = curve.bent_by(beta, residuals)
-    return by >= NEGLIGIBLE and behind < LEFT_BEHIND * max(by, 1.0) and curve.is_possible(beta)
 
 
 STEPS = 5
@@ -287,30 +323,25 @@ def refined(r: Responses, accepted: Sequence[Candidate], candidates: Sequence[Ca
     """
     if not candidates:
         return []
-    model = fitted_model(r, accepted)
-
-    def columns_with(more: Sequence[Candidate]) -> FloatArray:
-        return model_columns(model.responses, [*model.accepted, *more])
-
-    fits_of = CandidateFits(model.responses, columns_with)
-    refining = {k: _refining(model.responses, model.accepted, c) for k, c in enumerate(candidates)}
-    wanted = {k: next(one) for k, one in refining.items()}
-    found: dict[int, Refined] = {}
+    beside = _model(r, tuple(accepted))
+    model, found = beside.at, beside.refined
+    refining = {c: _refining(model.responses, model.accepted, c) for c in candidates if c not in found}
+    wanted = {c: next(one) for c, one in refining.items()}
     while wanted:
         asked = list(wanted.values())
         with_variance = any(one.with_variance for one in asked)
-        fitted = fits_of.of(
+        fitted = beside.fits.of(
             [one.candidate for one in asked], [one.columns for one in asked], with_variance=with_variance
         )
         answers = zip(wanted.items(), fitted.criterion, fitted.beta, fitted.last_variance, strict=True)
         wanted = {}
-        for (k, one), criterion, beta, variance in answers:
+        for (c, one), criterion, beta, variance in answers:
             own = beta[-one.columns.shape[2] :]
             try:
-                wanted[k] = refining[k].send(_Answer(float(criterion), own, float(variance)))
+                wanted[c] = refining[c].send(_Answer(float(criterion), own, float(variance)))
             except StopIteration as done:
-                found[k] = done.value
-    return [found[k] for k in range(len(candidates))]
+                found[c] = done.value
+    return [found[c] for c in candidates]
 
 
 def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> _Refining:

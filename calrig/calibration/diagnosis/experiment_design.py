@@ -182,8 +182,9 @@ class _Trial:
 
     def separation(self, elevations_deg: Sequence[float], wait_s: float = 0.0) -> float:
         """Expected −2 log likelihood between the closest two suspects that are distinguishable at all."""
-        distances = self._distances(elevations_deg, wait_s)
-        return min((distances[pair] for pair in self.pairs), default=0.0)
+        if not self.pairs:
+            return 0.0
+        return min(self._distances(elevations_deg, wait_s).values())
 
     def keep_distinguishable(self, designs: Sequence[tuple[Sequence[float], float]]) -> None:
         """Drop the pairs of suspects that none of some rich designs would separate."""
@@ -213,7 +214,7 @@ class _Trial:
         return responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)
 
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
-        """Of each pair, with the one true that is the harder to tell."""
+        """Of each pair that counts, with the one true that is the harder to tell."""
         r = with_free_levels(self._with(elevations_deg, wait_s))
         others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
         suspects = [predicted(s, r) for s in self._suspects]
@@ -224,13 +225,13 @@ class _Trial:
             shown = (true.columns @ self._sizes[k]) * r.known
             target = self._noise.whiten(shown, r.starts).ravel()
             for j, rival in enumerate(suspects):
-                if j == k or rival is None:
+                pair = min(j, k), max(j, k)
+                if rival is None or pair not in self.pairs:
                     continue
                 design = stacked(self._noise, r.starts, model_columns(r, [*others, rival]))
                 left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
-                pair = min(j, k), max(j, k)
                 found[pair] = min(found.get(pair, math.inf), float(left @ left))
-        return {pair: found.get(pair, 0.0) for pair in combinations(range(len(suspects)), 2)}
+        return {pair: found.get(pair, 0.0) for pair in self.pairs}
 
     def _imagined(self, elevations_deg: Sequence[float], wait_s: float) -> list[Pose]:
         """Return poses as they would be measured, free of error, the second half of them after a wait."""

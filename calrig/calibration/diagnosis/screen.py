@@ -229,18 +229,24 @@ def _share_left(values: _Values, candidates: _Beside) -> Float32Array:
     flat = candidates.columns.reshape(channels, -1, n)
     within = values.unwhitened @ np.swapaxes(flat, 1, 2)
     within -= values.of_base @ candidates.inside
+    if channels == 1:  # the columns are orthonormal there, so that each takes its own square
+        np.square(within, out=within)
+        taken = within.reshape(-1, width, count).sum(axis=1)
+        taken /= values.power[0][:, None]
+        return np.asarray(np.maximum(1.0 - taken, SMALLEST), dtype=np.float32)
     total = within.sum(axis=0).reshape(-1, width, count)
+    within *= 2.0
     within = within.reshape(channels, -1, width, count)
     left = np.ones_like(total[:, 0])
     for j in range(channels):
-        change = np.zeros_like(left)
+        change = np.float32(0.0)
         for k in range(width):
             own = candidates.products[j, :, k, k] * total[:, k]
             for m in range(k):
                 own += 2.0 * candidates.products[j, :, k, m] * total[:, m]
-            own -= 2.0 * within[j, :, k]
+            own -= within[j, :, k]
             own *= total[:, k]
-            change += own
+            change = own if k == 0 else change + own
         change /= values.power[j][:, None]
         change += 1.0
         left *= np.maximum(change, np.float32(SMALLEST), out=change)

@@ -173,11 +173,13 @@ def tested_pair(
         return []
     second = named(r, beside, of_second.candidates, of_second.ratios, of_second.p_value)
     with_second = [*model.accepted, second.candidate]
-    of_first = judged(fitted_model(r, with_second))
     worth = is_practically_significant(r, beside, second) and is_practically_significant(
         r, with_second, first
     )
-    if not of_first.passes or not worth:
+    if not worth:
+        return []
+    of_first = judged(fitted_model(r, with_second))
+    if not of_first.passes:
         return []
     both = (replace(first, p_value=of_first.p_value), second)
     return [replace(one, candidate=member) for one in both for member in one.candidate.members]
@@ -413,6 +415,49 @@ def _criterion(findings: Findings) -> float:
     return findings.fitted.criterion + float(np.log(len(findings.kept))) * parameters
 
 
+@dataclass(slots=True)
+class _Judge:
+    """Tests what may enter a model.
+
+    Attributes:
+        judge: the significance test, at its level.
+        candidates: of the poses.
+        noises: null distributions drawn in a search of more poses.
+        refused: labels that are offered no more.
+        drawn: null distributions drawn here, by model.
+    """
+
+    judge: Callable[..., Verdict]
+    candidates: Sequence[Candidate]
+    noises: Noises
+    refused: set[str] = field(default_factory=set)
+    drawn: dict[ModelKey, NullGains] = field(default_factory=dict)
+
+    def __call__(self, model: Model, earlier: Verdict | None = None) -> Verdict:
+        """Judge all that may enter a model, or what has not been refused since an earlier verdict on it."""
+
+        def columns_with(more: Sequence[Candidate]) -> FloatArray:
+            return model_columns(model.responses, [*model.accepted, *more])
+
+        seen, key = model.responses, model_of(model.responses, model.accepted)
+        if earlier is None:
+            those, trial = offered(seen, self.candidates, model.accepted, self.refused), None
+        else:
+            those, trial = [c for c in earlier.candidates if c.label not in self.refused], earlier.trial
+        verdict = self.judge(
+            seen,
+            columns_with,
+            model.fitted,
+            those,
+            companions=companions_of(model.accepted),
+            known=self.noises.get(key),
+            earlier=trial,
+        )
+        if verdict.drawn is not None:
+            self.drawn[key] = verdict.drawn
+        return verdict
+
+
 def _search(
     r: Responses,
     candidates: Sequence[Candidate],
@@ -430,35 +475,24 @@ def _search(
     before it ends.
     """
     found = list(known)
-    refused: set[str] = set()
+    judged = _Judge(judge, candidates, noises)
+    refused = judged.refused
     kept, fewest = np.arange(len(r)), len(r) - most_outliers(len(r))
-    drawn: dict[ModelKey, NullGains] = {}
     met: set[object] = set()
     is_compared = False  # every effect thoroughly with its competitors, as all others are now
-
-    def judged(model: Model) -> Verdict:
-        def columns_with(more: Sequence[Candidate]) -> FloatArray:
-            return model_columns(model.responses, [*model.accepted, *more])
-
-        seen, companions = model.responses, companions_of(model.accepted)
-        those = offered(seen, candidates, model.accepted, refused)
-        key = model_of(seen, model.accepted)
-        verdict = judge(seen, columns_with, model.fitted, those, companions=companions, known=noises.get(key))
-        if verdict.drawn is not None:
-            drawn[key] = verdict.drawn
-        return verdict
-
+    earlier: Verdict | None = None  # of the same model, before the last candidate was refused
     while True:
         accepted = [f.candidate for f in found]
         state = len(kept), frozenset(refused), frozenset(_place_of(c) for c in accepted)
         if state in met:
             break
         model = fitted_model(r, accepted)
-        verdict = judged(model)
+        verdict, earlier = judged(model, earlier), None
         apart = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
         if apart is not None:
             others = np.delete(np.arange(len(r)), apart)
-            kept, r, candidates = kept[others], r.rows(others), [c.rows(others) for c in candidates]
+            kept, r = kept[others], r.rows(others)
+            judged.candidates = candidates = [c.rows(others) for c in candidates]
             found = [f.rows(others) for f in found]
             continue
         met.add(state)
@@ -467,6 +501,7 @@ def _search(
             steps, no_worth = _entering(r, model, accepted, verdict, judged, rivals)
             if no_worth is not None:
                 refused.add(no_worth)
+                earlier = verdict
                 continue
         if not steps:
             if rivals is not None or is_compared:
@@ -479,11 +514,12 @@ def _search(
         entered = with_known_places(r, candidates, entered)
         if found and not is_admissible(r, [f.candidate for f in entered]):
             refused.add(steps[0].candidate.label)
+            earlier = verdict
             continue
         found, dropped = eliminated(r, entered, len(known))
         refused.update(dropped)
     model = fitted_model(r, [f.candidate for f in found])
-    return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, drawn)
+    return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, judged.drawn)
 
 
 def _compared(

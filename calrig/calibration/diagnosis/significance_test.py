@@ -10,14 +10,14 @@ of 0.95 between poses and for innovations with heavy tails. So a candidate is te
 leaves, and the bootstrap draws its innovations from there; their correlation stays the null's, because slow
 noise looks like slow effects.
 
-The noise of the draws is known, so that one orthonormal set of columns serves all of them (Frisch & Waugh,
-Econometrica 1, 1933). The folds of a cross-validation reuse the null distribution of all poses, and draw
-their own only where it leaves a decision open.
+The folds of a cross-validation reuse the null distribution of all poses, and draw their own only where it
+leaves a decision open. Where a search refuses the best candidate and asks again, the same draws serve.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from calrig.calibration.diagnosis.candidate_fits import fit_candidates
 from calrig.calibration.diagnosis.candidates import Candidate
+from calrig.calibration.diagnosis.drawn_fits import DrawnFits
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.effects import UNNAMED
 from calrig.calibration.regression.channels import BoolArray
@@ -34,11 +35,8 @@ from calrig.calibration.regression.noise_model import (
     STRONG_RHO,
     Fit,
     NoiseModel,
-    RepeatedSteps,
     fit,
-    lagged_products,
     noise_of,
-    orthonormal,
 )
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
@@ -153,161 +151,6 @@ def model_of(r: Responses, accepted: Sequence[Candidate]) -> ModelKey:
 
 
 Intp = npt.NDArray[np.intp]
-BATCH = 32
-"""Responses at a time: what belongs to them then stays in the processor's cache."""
-
-
-class DrawnFits:
-    """A model's criterion in responses drawn from a noise, alone and beside each of some candidates.
-
-    Args:
-        r: the responses, for what their poses have in common.
-        columns_with: (n, J, p) columns of the model with some candidates beside it.
-        candidates: those that may be.
-        noise: that the responses are drawn from.
-    """
-
-    def __init__(
-        self,
-        r: Responses,
-        columns_with: Callable[[Sequence[Candidate]], FloatArray],
-        candidates: Sequence[Candidate],
-        noise: NoiseModel,
-    ) -> None:
-        self._candidates = candidates
-        self._models = {"": _Model(r, columns_with(()), noise)}
-        for c in candidates:
-            if c.shape.replaces and c.shape.replaces not in self._models:
-                base = columns_with((c,))[:, :, : -c.columns.shape[2]]
-                self._models[c.shape.replaces] = _Model(r, base, noise)
-        self._kind_of = [(c.columns.shape[2], c.shape.replaces or "") for c in candidates]
-
-    def null(self, values: FloatArray) -> FloatArray:
-        """Return (b,) criterion of the model alone in responses (b, n, J)."""
-        return self._models[""].alone(values)
-
-    def beside(self, values: FloatArray, drawn: Intp, chosen: Intp) -> tuple[FloatArray, list[FloatArray]]:
-        """Return (m,) criterion in some responses of (b, n, J), each beside a chosen candidate.
-
-        And these candidates' own coefficients. The responses' places `drawn` (m,) are in their order.
-        """
-        flat = chosen.tolist()
-        criterion = np.empty(len(flat))
-        own: list[FloatArray] = [np.empty(0)] * len(flat)
-        for first in range(0, len(values), BATCH):
-            alike: dict[tuple[int, str], list[int]] = {}
-            for pair in range(*np.searchsorted(drawn, [first, first + BATCH]).tolist()):
-                alike.setdefault(self._kind_of[flat[pair]], []).append(pair)
-            for (_, replaced), pairs in alike.items():
-                kinds = [flat[pair] for pair in pairs]
-                criterion[pairs], betas = self._models[replaced].beside(
-                    values[first : first + BATCH],
-                    drawn[pairs] - first,
-                    kinds,
-                    {k: self._candidates[k] for k in kinds},
-                )
-                for pair, beta in zip(pairs, betas, strict=True):
-                    own[pair] = beta
-        return criterion, own
-
-
-class _Columns(NamedTuple):
-    """Columns in rows (…, p, n·J), orthonormal once whitened: `white`, and `plain`, as they were before that.
-
-    Coefficients of the columns that they were made of are those of these times `turn` (…, p, p).
-    """
-
-    white: FloatArray
-    plain: FloatArray
-    turn: FloatArray
-
-
-class _Model:
-    """One model (n, J, p) in one noise, and what it leaves of the candidates that were beside it so far."""
-
-    def __init__(self, r: Responses, model: FloatArray, noise: NoiseModel) -> None:
-        self._r, self._noise, self._width = r, noise, model.shape[2]
-        white, plain = self._rows(model[None])
-        base = _orthonormal(white, plain, np.linalg.norm(white, axis=2))
-        self._base = _Columns(*(one[0] for one in base))
-        self._made: dict[int, _Columns] = {}
-        self._again = None
-        if noise.rho.max() >= STRONG_RHO:
-            self._again = RepeatedSteps(r, self._base.plain[np.any(self._base.plain != 0.0, axis=1)])
-
-    def alone(self, values: FloatArray) -> FloatArray:
-        """Return (b,) criterion in responses (b, n, J)."""
-        left = self._left(values, self._white(values))
-        nothing = np.empty((1, 0, left.shape[1]))
-        return self._criterion(left, nothing, np.zeros(len(left), dtype=np.intp))[0]
-
-    def beside(
-        self, values: FloatArray, drawn: Intp, kinds: Sequence[int], candidates: dict[int, Candidate]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return (m,) criterion and (m, w) coefficients of one candidate each, all of one width.
-
-        Args:
-            values: (b, n, J) responses.
-            drawn: (m,) which of them.
-            kinds: (m,) which of the candidates, by their keys.
-            candidates: those.
-        """
-        new = [k for k in candidates if k not in self._made]
-        if new:
-            self._made.update(zip(new, self._orthonormal([candidates[k] for k in new]), strict=True))
-        white = self._white(values)
-        place = {k: at for at, k in enumerate(candidates)}
-        at = np.array([place[k] for k in kinds])
-        of_white, of_plain, turn = (
-            np.stack(one) for one in zip(*(self._made[k] for k in candidates), strict=True)
-        )
-        inside = of_white[at] @ white[drawn][:, :, None]
-        left = self._left(values, white)[drawn] - (np.swapaxes(inside, 1, 2) @ of_plain[at])[:, 0]
-        criterion, more = self._criterion(left, of_plain, at)
-        return criterion, (turn[at] @ (inside + more[:, :, None]))[:, :, 0]
-
-    def _orthonormal(self, candidates: Sequence[Candidate]) -> list[_Columns]:
-        """Candidates of one width, beside the model."""
-        white, plain = self._rows(np.stack([c.columns for c in candidates]))
-        inside = white @ self._base.white.T
-        size = np.linalg.norm(white, axis=2)
-        made = _orthonormal(white - inside @ self._base.white, plain - inside @ self._base.plain, size)
-        return [_Columns(*one) for one in zip(*made, strict=True)]
-
-    def _white(self, values: FloatArray) -> FloatArray:
-        """Return (…, n·J) responses or columns (…, n, J) whitened."""
-        return self._noise.whiten(values, self._r.starts).reshape(*values.shape[:-2], -1)
-
-    def _left(self, values: FloatArray, white: FloatArray) -> FloatArray:
-        """Return (b, n·J) what the model leaves of responses (b, n, J), by themselves and whitened."""
-        return np.asarray(values.reshape(white.shape) - (white @ self._base.white.T) @ self._base.plain)
-
-    def _criterion(self, left: FloatArray, beside: FloatArray, at: Intp) -> tuple[FloatArray, FloatArray]:
-        """Return (m,) of what one step leaves (m, n·J), and (m, w) what further steps add to coefficients.
-
-        Of those columns (k, w, n·J) that it was fitted beside, by their places `at` (m,).
-        """
-        width = beside.shape[1]
-        taken = max(1.0, (self._width + width) / len(self._r.channels))
-        if self._again is not None:
-            steps = self._again.steps(left, beside, at, taken)
-            return steps.products.criterion(*steps.products.noises(taken)), steps.more
-        products = lagged_products(left.reshape(-1, *self._r.values.shape), self._r.starts, self._r.rounding)
-        return products.criterion(*products.noises(taken)), np.zeros((len(left), width))
-
-    def _rows(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return columns (m, n, J, p) whitened and as they are, in rows (m, p, n·J)."""
-        rows = np.moveaxis(columns, 3, 1)
-        return self._white(rows), rows.reshape(*rows.shape[:2], -1)
-
-
-def _orthonormal(white: FloatArray, plain: FloatArray, size: FloatArray) -> _Columns:
-    """Of rows (m, p, n·J), of sizes (m, p) before others were taken off them."""
-    turn = orthonormal(white @ np.swapaxes(white, 1, 2), size)
-    across = np.swapaxes(turn, 1, 2)
-    return _Columns(across @ white, across @ plain, turn)
-
-
 LEADERS = 16
 """Forms of effects whose full likelihood is taken in a draw of noise, those that lead on the screen: to the
 upper tenth of draws the best gain is the same as of all forms, of 52 poses and of 100.
@@ -341,6 +184,7 @@ class Verdict:
         passes: whether the p-value is below the level, or clearly would be with more draws.
         least_p_value: the smallest that all draws could give.
         drawn: the null distribution drawn for the test; None where it was known.
+        trial: of all candidates that were tested with this model, for a test of fewer of them.
     """
 
     candidates: Sequence[Candidate]
@@ -350,6 +194,7 @@ class Verdict:
     passes: bool
     least_p_value: float
     drawn: NullGains | None = None
+    trial: Trial | None = None
 
 
 def gate(
@@ -365,6 +210,7 @@ def gate(
     companions: Collection[str] = (),
     known: NullGains | None = None,
     decide_only: bool = False,
+    earlier: Trial | None = None,
 ) -> Verdict:
     """Judge the best of all candidates against its distribution under the current model.
 
@@ -383,6 +229,7 @@ def gate(
             are judged by themselves and all others by themselves, each of the two families at the level.
         known: what noise gained beside the same effects in more poses, asked before any is drawn.
         decide_only: whether the p-value is of no interest where it is clear that it lies below the level.
+        earlier: of the same model, with these candidates and others that have been refused since.
     """
     least = 1.0 / (bootstraps + 1)
     if not candidates:
@@ -390,46 +237,67 @@ def gate(
     model = columns_with(())
     if noise is None:
         noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
-    labels = tuple(dict.fromkeys(c.label for c in candidates))
-    by_known = known and known.of(labels, noise)
-    trial = _Trial(r, columns_with, candidates, noise, fitted.residuals, draws=by_known is None)
-    families = [family for family in (trial.are(companions), ~trial.are(companions)) if family.any()]
-    ratios = trial.ratios[0]
+    by_known = known and known.of(tuple({c.label: None for c in candidates}), noise)
+    if earlier is None:
+        trial = Trial(r, columns_with, candidates, noise, fitted.residuals, draws=by_known is None)
+    else:
+        trial = earlier.among({c.label for c in candidates})
+    labels, offered = trial.labels, trial.offered
+    families = [family & offered for family in (trial.are(companions), ~trial.are(companions))]
+    families = [family for family in families if family.any()]
+    candidates, ratios = trial.candidates, trial.ratios
     clear_after = max(FEWEST_DRAWS, round(1.0 / level) - 1, bootstraps // CLEAR_SHARE)
     if by_known is not None:
+        those, of_those = [label for label, is_in in zip(labels, offered, strict=True) if is_in], offered
+        own = [family[of_those] for family in families]
         margin = CLEAR if len(by_known) >= clear_after else CLEAR_AT_FIRST
         led = trial.leading()
-        judged = FamilyTest(labels, led, by_known, families)
+        judged = FamilyTest(those, led[of_those], by_known, own)
         if judged.ahead > margin:
-            return Verdict(candidates, ratios, float(led.max()), judged.p_value, True, least)
-        judged = FamilyTest(labels, trial.observed[0], by_known, families)
+            return Verdict(candidates, ratios, float(led.max()), judged.p_value, True, least, trial=trial)
+        judged = FamilyTest(those, trial.observed[0][of_those], by_known, own)
         passes = judged.passes(level, margin, bootstraps)
         if passes is not None:
             gain = float(trial.observed[0].max())
-            return Verdict(candidates, ratios, gain, judged.p_value, passes, least)
+            return Verdict(candidates, ratios, gain, judged.p_value, passes, least, trial=trial)
     observed, alternative = trial.observed
-    null, least_gain = np.empty((0, len(observed))), -np.inf
+    most = level * (bootstraps + 1)
+    least_gain = -np.inf
+    if trial.draws:  # what they tell of the candidates that are left, before any more is fitted
+        least_gain = _worth_fitting(FamilyTest(labels, observed, trial.null(np.inf), families), trial, most)
     steps = {min(step, bootstraps) for step in (FIRST_DRAWS, MORE_DRAWS, clear_after, 2 * clear_after)}
-    for values in _drawn(r, alternative, noise, rng, sorted({*steps, bootstraps})):
-        null = np.concatenate([null, trial.gains_of_noise(values, least_gain)])
+    for values in _drawn(r, alternative, noise, rng, sorted({*steps, bootstraps}), trial.draws):
+        trial.draw(values)
+        null = trial.null(least_gain)
         draws = len(null)
         judged = FamilyTest(labels, observed, null, families)
         margin = FAR if draws < FIRST_DRAWS else CLEAR_AT_FIRST if draws == FIRST_DRAWS else CLEAR
         is_clear = (decide_only or draws >= min(clear_after, bootstraps)) and judged.ahead > margin
-        most = level * (bootstraps + 1)
         if is_clear or judged.exceeded.min() >= most:
             break
-        # of either family that the draws have yet to tell
-        lowest = judged.best[judged.exceeded < most].min()
-        least_gain = lowest / 2.0 if judged.ahead > FAR else -np.inf
-        if draws >= FIRST_DRAWS and noise.rho.max() < STRONG_RHO:
-            least_gain = max(least_gain, lowest - NEAR)
+        least_gain = _worth_fitting(judged, trial, most)
     passes = is_clear or judged.p_value <= level
     drawn = NullGains(labels, null, float(noise.rho.max()))
-    return Verdict(candidates, ratios, float(observed.max()), judged.p_value, passes, least, drawn)
+    return Verdict(candidates, ratios, float(observed.max()), judged.p_value, passes, least, drawn, trial)
 
 
-class _Trial:
+def _worth_fitting(judged: FamilyTest, trial: Trial, most: float) -> float:
+    """Return the least gain on the screen of a draw that may still change a decision.
+
+    Args:
+        judged: by the draws so far.
+        trial: that they belong to.
+        most: searches of noise that may exceed the best of a family.
+    """
+    yet_to_tell = judged.best[judged.exceeded < most]
+    lowest = float(yet_to_tell.min() if len(yet_to_tell) else judged.best.min())
+    least_gain = lowest / 2.0 if judged.ahead > FAR else -np.inf
+    if trial.draws >= FIRST_DRAWS and trial.noise.rho.max() < STRONG_RHO:
+        least_gain = max(least_gain, lowest - NEAR)
+    return least_gain
+
+
+class Trial:
     """The gain of the best candidates beside one model, in the poses' responses and in many of noise."""
 
     def __init__(
@@ -442,21 +310,50 @@ class _Trial:
         *,
         draws: bool,
     ) -> None:
-        self._r, self._columns_with, self._candidates, self._noise = r, columns_with, candidates, noise
+        self._r, self._columns_with, self._candidates = r, columns_with, candidates
+        self.noise = noise
         self._model = columns_with(())
         self.screen = Screen(r, self._model, candidates, noise)
-        self.ratios = self.screen.ratios(residuals[None]) if draws else self.screen.once(residuals)[None]
+        self._ratios = self.screen.ratios(residuals[None]) if draws else self.screen.once(residuals)[None]
         self._penalties = np.log(len(r)) * np.array([c.parameters for c in candidates])
         by_form: dict[tuple[str, str], list[int]] = {}
         for index, candidate in enumerate(candidates):
             by_form.setdefault((candidate.label, candidate.shape.form), []).append(index)
-        self.labels = list(dict.fromkeys(label for label, _ in by_form))
+        self.labels = tuple(dict.fromkeys(label for label, _ in by_form))
         self._forms = [np.array(indices) for indices in by_form.values()]
         self._label_of = np.array([self.labels.index(label) for label, _ in by_form])
+        self.offered = np.ones(len(self.labels), dtype=bool)
+        self._noises: list[_OfNoise] = []
+
+    def among(self, labels: Collection[str]) -> Trial:
+        """Return the trial of the candidates of some labels; what was drawn and fitted serves both."""
+        fewer = copy(self)
+        fewer.offered = self.are(labels)
+        return fewer
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """Those of the labels that are offered."""
+        return [self._candidates[k] for k in self._places]
+
+    @property
+    def ratios(self) -> Float32Array:
+        """Their likelihood ratios on the screen."""
+        return np.asarray(self._ratios[0, self._places])
+
+    @property
+    def _places(self) -> Intp:
+        offered = {label for label, is_in in zip(self.labels, self.offered, strict=True) if is_in}
+        return np.flatnonzero([c.label in offered for c in self._candidates])
+
+    @property
+    def draws(self) -> int:
+        """How many sets of responses have been drawn."""
+        return sum(len(some.values) for some in self._noises)
 
     @cached_property
     def _drawn(self) -> DrawnFits:
-        return DrawnFits(self._r, self._columns_with, self._candidates, self._noise)
+        return DrawnFits(self._r, self._columns_with, self._candidates, self.noise)
 
     def are(self, some: Collection[str]) -> BoolArray:
         """Return (L,) which of the labels are among some."""
@@ -464,45 +361,67 @@ class _Trial:
 
     def leading(self) -> FloatArray:
         """(L,) the gain of the one candidate that leads on the screen; minus infinity of all other names."""
-        labels, chosen, _ = self._leaders(self.ratios, 1)
+        chosen, scores = self._best_of_forms(self._ratios)
+        form = int(self._leading(scores)[0, 0])
+        best = chosen[:, form]
         null = np.array([fit(self._r, self._model).criterion])
-        with_it = fit(self._r, self._columns_with([self._candidates[chosen[0, 0]]]))
-        own = with_it.beta[-self._candidates[chosen[0, 0]].columns.shape[2] :]
-        gained = self._gained(chosen[0], null, np.array([with_it.criterion]), [own])
-        return np.asarray(self._of_labels(labels, gained[None])[0], dtype=np.float64)
+        with_it = fit(self._r, self._columns_with([self._candidates[best[0]]]))
+        own = with_it.beta[-self._candidates[best[0]].columns.shape[2] :]
+        gains = np.full(len(self.labels), -np.inf)
+        gains[self._label_of[form]] = self._gained(best, null, np.array([with_it.criterion]), [own])[0]
+        return gains
 
     @cached_property
-    def observed(self) -> tuple[FloatArray, Fit]:
-        """(L,) gains of the poses' own responses by the best candidate of each name, and the best fit.
+    def _fits_of_forms(self) -> tuple[FloatArray, FloatArray, Intp]:
+        """(F,) gains of the poses' own responses by the best candidate of each form, criteria, and those.
 
         Every form of every effect is fitted: the screen has the null's noise, in which a large effect is half
         hidden, and favours forms that say too little.
         """
-        labels, chosen, _ = self._leaders(self.ratios, len(self._forms))
-        candidates = [self._candidates[k] for k in chosen[0]]
+        chosen = self._best_of_forms(self._ratios)[0][0]
+        candidates = [self._candidates[k] for k in chosen]
         null = np.array([fit(self._r, self._model).criterion])
         fitted = fit_candidates(self._r, self._columns_with, candidates)
         own = [beta[-c.columns.shape[2] :] for beta, c in zip(fitted.beta, candidates, strict=True)]
-        gains = self._of_labels(labels, self._gained(chosen[0], null, fitted.criterion, own)[None])
-        best = candidates[int(np.argmin(fitted.criterion + self._penalties[chosen[0]]))]
-        return gains[0], fit(self._r, self._columns_with([best]))
+        gained = self._gained(chosen, null, fitted.criterion, own)
+        return gained, fitted.criterion + self._penalties[chosen], chosen
 
-    def gains_of_noise(self, values: FloatArray, least_gain: float) -> FloatArray:
-        """Return (b, L) the same in sets of responses (b, n, J) drawn from the noise.
+    @property
+    def observed(self) -> tuple[FloatArray, Fit]:
+        """(L,) gains of the poses' own responses by the best candidate of each name, and the best fit."""
+        gained, penalised, chosen = self._fits_of_forms
+        best = int(np.where(self.offered[self._label_of], penalised, np.inf).argmin())
+        fitted = fit(self._r, self._columns_with([self._candidates[chosen[best]]]))
+        return np.where(self.offered, self._of_labels(gained[None])[0], -np.inf), fitted
+
+    def draw(self, values: FloatArray) -> None:
+        """Add sets of responses (b, n, J) drawn from the noise; nothing of none."""
+        if len(values):
+            chosen, scores = self._best_of_forms(self.screen.ratios(values))
+            self._noises.append(_OfNoise(values, chosen, scores, np.full(scores.shape, np.nan)))
+
+    def null(self, least_gain: float) -> FloatArray:
+        """Return (b, L) gains in all sets of responses that were drawn.
 
         There the screen is right: the forms that lead on it reach what all would (`LEADERS`). What it says
-        will do of those that it takes nowhere, and where it takes none as far as some least gain.
+        will do of all others, of those that it takes nowhere, and where it takes none as far as some least
+        gain.
         """
-        labels, candidates, scores = self._leaders(self.screen.ratios(values), LEADERS)
-        gains = self._of_labels(labels, scores)
-        may = scores[:, 0] >= least_gain
-        if may.any():
-            values, labels, candidates, scores = values[may], labels[may], candidates[may], scores[may]
-            drawn, place = np.nonzero(scores > HOPELESS)
-            chosen, null = candidates[drawn, place], self._drawn.null(values)[drawn]
-            scores[drawn, place] = self._gained(chosen, null, *self._drawn.beside(values, drawn, chosen))
-            gains[may] = self._of_labels(labels, scores)
-        return gains
+        return np.concatenate([self._gains(some, least_gain) for some in self._noises])
+
+    def _gains(self, some: _OfNoise, least_gain: float) -> FloatArray:
+        leading = self._leading(some.scores)[:, :LEADERS]
+        scores = np.take_along_axis(some.scores, leading, axis=1)
+        is_fitted = ~np.isnan(np.take_along_axis(some.gained, leading, axis=1))
+        drawn, place = np.nonzero((scores > HOPELESS) & (scores[:, :1] >= least_gain) & ~is_fitted)
+        if len(drawn):
+            forms = leading[drawn, place]
+            chosen = some.chosen[drawn, forms]
+            which, at = np.unique(drawn, return_inverse=True)
+            values = some.values[which]
+            null = self._drawn.null(values)[at]
+            some.gained[drawn, forms] = self._gained(chosen, null, *self._drawn.beside(values, at, chosen))
+        return self._of_labels(np.where(np.isnan(some.gained), some.scores, some.gained))
 
     def _gained(
         self, chosen: Intp, null: FloatArray, criterion: FloatArray, own: Sequence[FloatArray]
@@ -517,28 +436,52 @@ class _Trial:
                 gained[k] = -np.inf
         return gained
 
-    def _of_labels(self, labels: Intp, gained: FloatArray) -> FloatArray:
-        """Return (b, L) the largest of each label's gains (b, k); minus infinity where it has none."""
-        gains = np.full((len(labels), len(self.labels)), -np.inf)
-        np.maximum.at(gains, (np.arange(len(labels))[:, None], labels), gained)
+    def _of_labels(self, gained: FloatArray) -> FloatArray:
+        """Return (b, L) the largest of each label's gains (b, F)."""
+        gains = np.full((len(gained), len(self.labels)), -np.inf)
+        np.maximum.at(gains, (np.arange(len(gained))[:, None], self._label_of), gained)
         return gains
 
-    def _leaders(self, ratios: Float32Array, most: int) -> tuple[Intp, Intp, FloatArray]:
-        """(b, k) labels, candidates and screened gains of the forms that lead on the screen, best first."""
+    def _best_of_forms(self, ratios: Float32Array) -> tuple[Intp, FloatArray]:
+        """(b, F) the best candidate of each form on the screen, and its gain there."""
         penalised = ratios - self._penalties
         best = np.stack([indices[penalised[:, indices].argmax(axis=1)] for indices in self._forms], axis=1)
-        scores = np.take_along_axis(penalised, best, axis=1)
-        leading = np.argsort(-scores, axis=1, kind="stable")[:, :most]
-        chosen, gains = (np.take_along_axis(of_forms, leading, axis=1) for of_forms in (best, scores))
-        return self._label_of[leading], chosen, gains
+        return best, np.take_along_axis(penalised, best, axis=1)
+
+    def _leading(self, scores: FloatArray) -> Intp:
+        """Return (b, F) the forms that are offered in the order of their gains (b, F), then all others."""
+        offered = self.offered[self._label_of]
+        return np.argsort(np.where(offered, -scores, np.inf), axis=1, kind="stable")[:, : offered.sum()]
+
+
+class _OfNoise(NamedTuple):
+    """Sets of responses (b, n, J) drawn from noise, and what each form gains in them.
+
+    Of each form (b, F) the candidate that leads on the screen, its gain there, and its gain where it has been
+    fitted, else NaN.
+    """
+
+    values: FloatArray
+    chosen: Intp
+    scores: FloatArray
+    gained: FloatArray
 
 
 def _drawn(
-    r: Responses, alternative: Fit, noise: NoiseModel, rng: np.random.Generator, steps: Sequence[int]
+    r: Responses,
+    alternative: Fit,
+    noise: NoiseModel,
+    rng: np.random.Generator,
+    steps: Sequence[int],
+    before: int,
 ) -> Iterator[FloatArray]:
-    """(b, n, J) responses of noise alone, as many in all as each step says, few of the first beforehand."""
-    before = 0
-    for draws in steps:
+    """(b, n, J) responses of noise alone, as many in all as each step says, few of the first beforehand.
+
+    Where there are some from before, none at first: they may be enough.
+    """
+    if before:
+        yield np.empty((0, *r.values.shape))
+    for draws in (step for step in steps if step > before):
         values = _resampled(r, alternative, noise, rng, draws - before)
         yield from np.split(values, [FEW_DRAWS]) if before == 0 else (values,)
         before = draws

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import groupby
 from typing import NamedTuple
 
@@ -428,6 +429,7 @@ def _lasts_s(pose: Pose) -> float:
     return (pose.n_samples or 0) / pose.filtering.rate_hz if pose.filtering else 0.0
 
 
+AS_IN_CONTRACT = Filtering()
 SETTLE_S = 1.0
 """Where a pose does not say how long it settled: the default of a plan."""
 FORGOTTEN = 1e-9
@@ -459,7 +461,7 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     times the move: at 200 Hz as much as of a gyro that is wrong by −0.4 %. Where the poses tell g, κ is that
     of both, κ + λ/g.
     """
-    known = [pose.filtering or Filtering() for pose in poses]
+    known = [pose.filtering or AS_IN_CONTRACT for pose in poses]
     settle_s = np.array([SETTLE_S if pose.settle_s is None else pose.settle_s for pose in poses])
     dwell_s = np.array([_dwell_s(pose, f) for pose, f in zip(poses, known, strict=True)])
     between_s = _between_s(poses, settle_s, dwell_s)
@@ -468,7 +470,7 @@ def filter_share(poses: Sequence[Pose]) -> FloatArray:
     move_s = np.maximum(np.minimum(between_s, travel_s), SHORTEST_MOVE_S)
     settle_s = settle_s + np.maximum(between_s - move_s, 0.0)
     share, lead = np.empty(len(poses)), np.empty(len(poses))
-    for noise, rate_hz in {(f.noise, f.rate_hz) for f in known}:
+    for noise, rate_hz in {(f.noise, f.rate_hz) for f in {id(f): f for f in known}.values()}:
         of_filter = np.array([(f.noise, f.rate_hz) == (noise, rate_hz) for f in known])
         share[of_filter], lead[of_filter] = _share_and_lead(
             noise, rate_hz, settle_s[of_filter], dwell_s[of_filter], move_s[of_filter]
@@ -512,18 +514,9 @@ def _gain_error(poses: Sequence[Pose]) -> float:
 def _share_and_lead(
     noise: KalmanNoise, rate_hz: float, settle_s: FloatArray, dwell_s: FloatArray, move_s: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    from scipy.signal import lfilter
-
-    gain = steady_state_gain(noise, 1.0 / rate_hz)
-    slowest = max(np.abs(np.roots(gain.denominator)))
-    remembered = math.log(FORGOTTEN) / math.log(slowest) if slowest < 1.0 else math.inf
     longest_s = float((settle_s + dwell_s + move_s).max())
-    samples = int(min(remembered, longest_s * rate_hz, MOST_SAMPLES)) + 2
-    impulse = np.zeros(samples)
-    impulse[0] = 1.0 - gain.k_angle
-    response = lfilter([1.0, -1.0], gain.denominator, impulse)
-    once = np.cumsum(response) / rate_hz
-    at = np.arange(1, samples + 1) / rate_hz
+    once = _shown_error(noise, rate_hz, math.ceil(math.log2(min(longest_s * rate_hz, MOST_SAMPLES) + 2.0)))
+    at = np.arange(1, len(once) + 1) / rate_hz
     end_s = settle_s + dwell_s
 
     def over_both(integral: FloatArray) -> FloatArray:
@@ -536,3 +529,22 @@ def _share_and_lead(
         return np.asarray(area / (move_s * dwell_s), dtype=np.float64)
 
     return over_both(np.cumsum(once) / rate_hz), over_both(once) / (2.0 * rate_hz)
+
+
+@lru_cache(maxsize=8)
+def _shown_error(noise: KalmanNoise, rate_hz: float, doublings: int) -> FloatArray:
+    """Return what a filter shows after k samples of a rate that erred by 1 for the first one.
+
+    It is an impulse response, of 2^doublings samples at most: until the filter has forgotten the error.
+    scipy's filters would take longer to load than all else of a diagnosis' start.
+    """
+    gain = steady_state_gain(noise, 1.0 / rate_hz)
+    _, a1, a2 = gain.denominator
+    slowest = max(np.abs(np.roots(gain.denominator)))
+    remembered = math.log(FORGOTTEN) / math.log(slowest) if slowest < 1.0 else math.inf
+    now, before = (1.0 - gain.k_angle) / rate_hz, 0.0
+    shown = []
+    for _ in range(int(min(remembered + 2.0, 2.0**doublings))):
+        shown.append(now)
+        now, before = -a1 * now - a2 * before, now
+    return np.array(shown)

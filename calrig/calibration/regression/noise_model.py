@@ -62,7 +62,11 @@ class LaggedProducts:
         covariance = self.same / max(self.n - parameters, 1.0)
         diagonal = np.einsum("bjj->bj", covariance)
         diagonal += ALIKE * diagonal + self.floor
-        if len(covariance) == 1:  # one call in place of three, whose own cost is all there is
+        if covariance.shape[1] == 1:  # of one channel each is a number
+            if not (covariance > 0.0).all():
+                raise np.linalg.LinAlgError("residuals whose covariance is not positive")
+            rho, rotation = (self.lagged / covariance)[:, :, 0], 1.0 / np.sqrt(covariance)
+        elif len(covariance) == 1:  # one call in place of three, whose own cost is all there is
             one, turned, failed = dsygvd(self.lagged[0], covariance[0])
             if failed:
                 raise np.linalg.LinAlgError("residuals whose covariance is not positive definite")
