@@ -177,8 +177,8 @@ class PostgresqlDatabase(Database):
         stored = session.execute(text("SELECT version_num FROM alembic_version")).scalar()
         if stored != self._head:
             raise StoreUnavailableError(
-                f"{self.name}: another calrig changed the tables meanwhile (revision {stored}; this one writes "
-                f"{self._head}); nothing was changed: install the same version here and start it again"
+                f"{self.name}: another calrig changed the tables meanwhile (revision {stored}; this one "
+                f"writes {self._head}); nothing was changed: install the same version here and start it again"
             )
 
     def give_back_space(self) -> None:
