@@ -18,8 +18,8 @@ from pathlib import Path
 from calrig.analysis.fleet import glance_at_files
 from calrig.export.poses_parquet import write_poses
 
-from .measuring import Memory, processor_s
 from .made import RUNS_A_PIECE, fleet, screened_again
+from .measuring import Memory, processor_s
 
 AT_THE_LIMIT = "limit backlash 0.038°"
 
@@ -64,10 +64,10 @@ def _measured(what: str, cores: int, trial: Callable[[], tuple[int, int]]) -> No
     with Memory() as memory:
         began_s, spent_s = time.monotonic(), processor_s()
         runs, stood_out = trial()
-        wall_s, processor_s = time.monotonic() - began_s, processor_s() - spent_s
-    per_run_us = 1e6 * processor_s / runs
+        wall_s, spent_s = time.monotonic() - began_s, processor_s() - spent_s
+    per_run_us = 1e6 * spent_s / runs
     _say(
-        f"| {what} | {cores} | {runs:,} | {wall_s:.1f} | {processor_s:.1f} | {per_run_us:.0f} "
+        f"| {what} | {cores} | {runs:,} | {wall_s:.1f} | {spent_s:.1f} | {per_run_us:.0f} "
         f"| {stood_out / runs:.4f} | {memory.most_mb:.0f} |"
     )
 

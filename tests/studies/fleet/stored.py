@@ -1,8 +1,8 @@
 """What `calrig fleet` takes of a store, and what it finds: `python -m tests.studies.fleet.stored FILE`.
 
 Runs of 100 poses by the simulator's physics. A tenth have one of 17 causes, each at the size that a diagnosis
-just sees; some runs are damaged in the store. FILE is made where it is not there yet. `calrig fleet` then runs
-as a process; memory is that of all its processes together, the highest in each quarter of the time.
+just sees; some runs are damaged in the store. FILE is made where it is not there yet. `calrig fleet` then
+runs as a process; memory is that of all its processes together, the highest in each quarter of the time.
 """
 
 from __future__ import annotations
@@ -101,7 +101,9 @@ def _made(file: Path, n_runs: int) -> dict[str, str]:
                     causes[run.id] = cause
     engine = create_engine(url)
     with engine.begin() as connection:
-        spoil = f"UPDATE pose SET reading_deg = reading_deg + 1 WHERE run_id % {max(1, n_runs // DAMAGED)} = 1"
+        spoil = (
+            f"UPDATE pose SET reading_deg = reading_deg + 1 WHERE run_id % {max(1, n_runs // DAMAGED)} = 1"
+        )
         connection.execute(text(spoil))
     engine.dispose()
     return causes

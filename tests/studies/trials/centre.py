@@ -77,7 +77,11 @@ class Bench:
         """Starts it; returns once it says that it is there."""
         with (self.folder / "agent.log").open("ab") as log:
             self.process = subprocess.Popen(
-                self._command, stdout=subprocess.PIPE, stderr=log, text=True, env=self._environment | self.program
+                self._command,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env=self._environment | self.program,
             )
         too_late = threading.Timer(START_S, self.process.kill)
         too_late.start()

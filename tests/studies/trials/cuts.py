@@ -7,6 +7,7 @@ of its wire.
 
 from __future__ import annotations
 
+import itertools
 import random
 import re
 import tempfile
@@ -27,9 +28,15 @@ from .served import until
 CUTS = 1000
 AT_A_CENTRE = 25
 """Runs on one centre before the next one: its start takes several seconds."""
-KINDS = ("agent", "network", "centre", "postgresql")
+KINDS = ("agent", "network", "black hole", "half delivery", "centre", "postgresql")
+"""In a black hole connections stay open and pass nothing on; in half a delivery half of a parcel goes first.
+"""
 MOST_CUTS = 3
 AWAY_S = (0.0, 2.0)
+LONG_S, LONG = 20.0, 0.1
+"""This share of the black holes lasts longer than a bench acts on orders without its centre."""
+PARCEL_S = 3.0
+"""A run under way delivers within it."""
 DEADLINE_S = 180.0
 POSES = 20
 MOVE = re.compile(rb"1PA(-?[0-9.]+)")
@@ -48,9 +55,18 @@ class Outcome:
     wrong: list[str] = field(default_factory=list)
 
 
-def _cut(at: Centre, bench: Bench, kind: str, away_s: float) -> None:
-    """Cuts one of the four and mends it again after a while."""
-    if kind == "agent":
+def _cut(at: Centre, bench: Bench, kind: str, away_s: float) -> bool:
+    """Cuts one of them and mends it again after a while; returns whether there was something to cut."""
+    if kind == "half delivery":
+        if not at.server.cable.halve(PARCEL_S):
+            return False
+        threading.Event().wait(away_s)
+        at.server.cable.mend()
+    elif kind == "black hole":
+        at.server.cable.swallow()
+        threading.Event().wait(away_s)
+        at.server.cable.mend()
+    elif kind == "agent":
         bench.kill()
         threading.Event().wait(away_s)
         bench.start()
@@ -66,6 +82,7 @@ def _cut(at: Centre, bench: Bench, kind: str, away_s: float) -> None:
         at.server.crash()
         threading.Event().wait(away_s)
         at.server.start()
+    return True
 
 
 def _asked(at: Centre, method: str, path: str, **body: Any) -> httpx.Response | None:
@@ -104,6 +121,7 @@ def moves_told(bench: Bench) -> int:
 def cut_some(seed: int, runs: int) -> Outcome:
     """Runs one after the other on one bench, each cut up to three times."""
     rng, out = random.Random(seed), Outcome()
+    in_turn = itertools.cycle(rng.sample(KINDS, len(KINDS)))
     with (
         tempfile.TemporaryDirectory() as name,
         bench_rig(seed) as (rig, settings),
@@ -123,9 +141,10 @@ def cut_some(seed: int, runs: int) -> Outcome:
             run_id, kinds = begun.json()["id"], []
             for _ in range(rng.randint(1, MOST_CUTS) if k else 0):
                 threading.Event().wait(rng.uniform(0.0, RUN_S))
-                kinds.append(rng.choice(KINDS))
-                out.cuts[kinds[-1]] += 1
-                _cut(at, bench, kinds[-1], rng.uniform(*AWAY_S))
+                kinds.append(next(in_turn))
+                is_long = kinds[-1] == "black hole" and rng.random() < LONG
+                away_s = LONG_S if is_long else rng.uniform(*AWAY_S)
+                out.cuts[kinds[-1]] += _cut(at, bench, kinds[-1], away_s)
             where = f"{where}, {', '.join(kinds)}"
             run = to_its_end(at, run_id, out)
             out.runs += 1
