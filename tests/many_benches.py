@@ -14,7 +14,8 @@ from support import QUICK
 from calrig.centre.service import CentreService
 from calrig.plan import Plan
 from calrig.store import Run, Store
-from calrig.store.bench_tables import PROTOCOL, BenchCommandTable, BenchTable, RunOrderTable
+from calrig.store.bench_tables import BenchCommandTable, BenchTable, RunOrderTable
+from calrig.store.benches import versions_here
 from calrig.store.tables import RunTable
 
 HALLS = {"hall 1": 3, "hall 2": 3, "hall 10": 2}
@@ -68,7 +69,7 @@ class ManyBenches:
             now = session.connection().execute(text("SELECT clock_timestamp()")).scalar_one()
             row = session.get_one(BenchTable, bench)
             row.last_seen_at = now - timedelta(seconds=ago_s)
-            row.said = {"rigs": rigs, "outbox": outbox, "lease_losses": 0, "protocol": PROTOCOL, **more}
+            row.said = {"rigs": rigs, "outbox": outbox, "lease_losses": 0, **versions_here(), **more}
             session.commit()
 
     def says(self, rig: str, state: str) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -139,3 +141,17 @@ def test_the_reference_of_the_configuration_has_every_key(model: type[BaseModel]
     told = (DOCS / "reference" / "configuration.md").read_text(encoding="utf-8")
     keys = set(re.findall(r"(?:\b|\.)([a-z][a-z0-9_]+)\b", " ".join(re.findall(r"`[^`\n]+`", told))))
     assert [name for name in model.model_fields if name not in keys] == []
+
+
+@pytest.mark.parametrize("unit", ["calrig.service", "calrig-agent.service"])
+def test_systemd_takes_each_unit(unit: str, tmp_path: Path) -> None:
+    """As written, but for the place of the program, which is not installed there."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("needs systemd-analyze")
+    page = (DOCS / "how-to" / "operate-a-centre.md").read_text(encoding="utf-8")
+    (text,) = re.findall(rf"^```ini\n# {unit}: .*?\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    program = shutil.which("true")
+    (tmp_path / unit).write_text(text.replace("/opt/calrig/bin/calrig", str(program)))
+    verify = ["systemd-analyze", "verify", "--man=no", tmp_path / unit]
+    done = subprocess.run(verify, check=False, capture_output=True, text=True)
+    assert (done.returncode, [line for line in done.stderr.splitlines() if unit in line]) == (0, [])

@@ -33,7 +33,7 @@ from calrig.runs.presence import BoardCheck
 from calrig.runs.rig_status import said_of
 from calrig.runs.service import RunService
 from calrig.store import Store, StoreError
-from calrig.store.bench_tables import PROTOCOL
+from calrig.store.benches import versions_here
 from calrig.store.convert import iso_utc
 from calrig.store.errors import StoreDamagedError
 from calrig.store.parcels import Parcel
@@ -354,7 +354,7 @@ class Heartbeat:
             },
             "lease_losses": self._lease.losses,
             "version": calrig.__version__,
-            "protocol": PROTOCOL,
+            **versions_here(),
             "trouble": self._trouble(),
         }
 

@@ -45,10 +45,11 @@ class BenchWithCode(Membership):
 
 
 class Code(Body):
-    """What an agent joins by, the protocol that it speaks, and the names of its rigs."""
+    """What an agent joins by, protocol and schema of its calrig, and the names of its rigs."""
 
     code: Annotated[str, Field(max_length=200)]
     protocol: Annotated[int, Field(ge=1, le=10**9)] = 1
+    schema_revision: Annotated[str, Field(pattern="^[0-9]{4}$")] = "0000"
     rigs: list[Annotated[str, Field(max_length=200)]] = Field(default_factory=list, max_length=1000)
 
 
@@ -99,6 +100,7 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
             port=context.centre.agent_db_port,
             is_elsewhere=not is_loopback(address),
             protocol=body.protocol,
+            schema_revision=body.schema_revision,
             rigs=body.rigs,
         )
     except WrongCode as error:

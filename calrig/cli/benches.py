@@ -114,7 +114,7 @@ def enroll(
     from calrig.client import Client
     from calrig.client.transport import part
     from calrig.settings import centre_url_file, load_settings
-    from calrig.store.bench_tables import PROTOCOL
+    from calrig.store.benches import versions_here
 
     _require_private(centre)
     settings = load_settings(config)
@@ -122,7 +122,8 @@ def enroll(
     service = Client(centre, None if ca is None else _believed(ca))
     path = out or centre_url_file()
     with _secret(path) as file:  # which can be written: the code is not spent for nothing
-        joined = service.post("/api/benches/enroll", {"code": code, "protocol": PROTOCOL, "rigs": rigs})
+        mine = {"code": code, "rigs": rigs, **versions_here()}
+        joined = service.post("/api/benches/enroll", mine)
         file.write(checked_by(part(joined, "db"), ca) + "\n")
     typer.echo(f"this is bench {part(joined, 'bench')} now; the URL of the centre's database is in {path}")
 

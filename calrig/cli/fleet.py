@@ -1,11 +1,9 @@
-"""`fleet`: re-analyse every completed run with the current catalogue, on Dask workers where there are any."""
+"""`fleet`: re-analyse every completed run with the current catalogue, here or on the workers of a cluster."""
 
 from __future__ import annotations
 
-import logging
-import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -73,7 +71,7 @@ PATIENCE_S = 30.0
 
 @contextmanager
 def _workers(scheduler: str | None) -> Iterator[Workers]:
-    """Those of a scheduler; without one those of this machine, calrig's own where Dask is not installed.
+    """Those of a scheduler; without one processes of calrig's own, which hold less memory than Dask's.
 
     Args:
         scheduler: its address, such as `tcp://10.0.0.7:8786`.
@@ -83,25 +81,16 @@ def _workers(scheduler: str | None) -> Iterator[Workers]:
     """
     from calrig.analysis.fleet import Workers, own_processes
 
-    if find_spec("distributed") is None:
-        if scheduler is not None:
-            raise WorkError("--scheduler needs Dask: pip install 'calrig[fleet]'")
+    if scheduler is None:
         with own_processes() as own:
             yield own
         return
+    if find_spec("distributed") is None:
+        raise WorkError("--scheduler needs Dask: pip install 'calrig[fleet]'")
     distributed: Any = import_module("distributed")
-    with ExitStack() as stack:
-        if scheduler is None:
-            slots = len(os.sched_getaffinity(0))
-            cluster = distributed.LocalCluster(
-                n_workers=slots, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR
-            )
-            client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
-        else:
-            client = stack.enter_context(_connected(distributed, scheduler))
-            slots = sum(client.ncores().values())
-        executor = stack.enter_context(client.get_executor(pure=False))
-        yield Workers(executor.submit, slots, f"{slots} workers of {scheduler or 'this machine'}")
+    with _connected(distributed, scheduler) as client, client.get_executor(pure=False) as executor:
+        slots = sum(client.ncores().values())
+        yield Workers(executor.submit, slots, f"{slots} workers of {scheduler}")
 
 
 def _connected(distributed: Any, scheduler: str) -> Any:

@@ -322,8 +322,10 @@ def print_benches(benches: Sequence[Membership]) -> None:
     if not benches:
         print_line("no bench has joined: `calrig bench add NAME` makes a code for the first one")
         return
-    rows = ((b.name, b.hall or "", _standing(b), str(b.last_seen_at or "")[:19]) for b in benches)
-    print_table(("bench", "hall", "is", "last seen, UTC"), rows, justify="left")
+    rows = (
+        (b.name, b.hall or "", _standing(b), b.version or "", str(b.last_seen_at or "")[:19]) for b in benches
+    )
+    print_table(("bench", "hall", "is", "calrig", "last seen, UTC"), rows, justify="left")
 
 
 def _standing(bench: Membership) -> str:

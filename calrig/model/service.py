@@ -79,3 +79,7 @@ class Membership(Model):
         default=None, description="Its time less the centre's, as it measured last; null if not known."
     )
     clock: str | None = None
+    version: str | None = Field(default=None, description="Of its calrig, as it reported last.")
+    schema_revision: str | None = Field(
+        default=None, description="Of the tables that its calrig delivers for, as it reported last."
+    )

@@ -18,9 +18,10 @@ from calrig.store.tables import Sha256, UtcText
 BENCH_NAME = re.compile(r"[A-Za-z0-9_.-]{1,20}")
 """Of a bench, which is part of its role's name: PostgreSQL keeps 63 bytes of one."""
 
-PROTOCOL = 2
+PROTOCOL = 3
 """Of what bench and centre say to each other through the database. It changes where either side would
-misunderstand the other; 1 is that of versions which did not tell.
+misunderstand the other; 1 is that of versions which did not tell, and since 3 a bench tells the schema that
+it delivers for. A bench is accepted whose protocol and schema are the centre's.
 """
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import and_, delete, not_, text, update
@@ -17,9 +18,9 @@ from sqlmodel import Session, col, func, select
 from calrig.model.run import UNFINISHED, UNTIL_GO
 from calrig.run_ids import new_run_id
 from calrig.store import event_log, trail
-from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
+from calrig.store.bench_tables import PROTOCOL, BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
 from calrig.store.convert import run_of, run_row
-from calrig.store.database import Repository
+from calrig.store.database import Repository, revisions
 from calrig.store.errors import NotFound, Refused
 from calrig.store.records import Document, Run
 from calrig.store.runs import change, first_progress, new_row
@@ -97,6 +98,15 @@ class Benches(Repository):
                 {bench: _waiting(n, at, now) for bench, n, at in session.exec(parcels)},
                 dict(session.exec(unanswered).all()),
             )
+
+
+@cache
+def versions_here() -> dict[str, int | str]:
+    """What this program tells a centre of itself: it accepts benches that tell the same.
+
+    As of its start, though another version may be installed since.
+    """
+    return {"protocol": PROTOCOL, "schema_revision": revisions()[-1]}
 
 
 def now_there(session: Session) -> datetime:

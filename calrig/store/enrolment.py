@@ -12,7 +12,7 @@ from sqlmodel import Session, col, select
 from calrig.model.clock_skew import said_skew_s, skew_in_words
 from calrig.model.service import Membership
 from calrig.store.bench_tables import BENCH_NAME, PROTOCOL, BenchTable
-from calrig.store.benches import refusal
+from calrig.store.benches import refusal, versions_here
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused
 from calrig.store.trail import Act, append
@@ -33,7 +33,9 @@ class Enrolment(Repository):
         """Every bench by name, those that were revoked as well."""
         with self._database.reading() as session:
             return [
-                Membership.model_validate(row).model_copy(update={"refused": refusal(row), **_clock(row)})
+                Membership.model_validate(row).model_copy(
+                    update={"refused": refusal(row), **_clock(row), **_versions(row)}
+                )
                 for row in session.exec(select(BenchTable).order_by(BenchTable.name))
             ]
 
@@ -73,6 +75,7 @@ class Enrolment(Repository):
         port: int | None = None,
         is_elsewhere: bool = False,
         protocol: int = PROTOCOL,
+        schema_revision: str | None = None,
         rigs: Sequence[str] = (),
         now: datetime | None = None,
     ) -> tuple[str, str]:
@@ -86,6 +89,7 @@ class Enrolment(Repository):
             port: likewise.
             is_elsewhere: whether the agent runs on another machine than the centre.
             protocol: that the agent speaks.
+            schema_revision: of the tables that the agent delivers for; None takes this program's.
             rigs: names of the agent's rigs, as far as they are configured by now.
             now: the time; None takes the clock's.
 
@@ -107,7 +111,7 @@ class Enrolment(Repository):
                     "no bench may join by this code: it is wrong, was used, or is older than a day; an admin "
                     "makes another one with `calrig bench add NAME`"
                 )
-            _require_understood(protocol)
+            _require_understood(protocol, schema_revision)
             _require_own_names(session, row.name, rigs)
             url = _let_in(session, row, host, port, is_elsewhere=is_elsewhere)
             row.code_sha256 = row.code_until = row.revoked_at = row.bears = row.refused = None
@@ -157,12 +161,14 @@ def _let_in(
     return url.render_as_string(hide_password=False)
 
 
-def _require_understood(protocol: int) -> None:
-    if protocol != PROTOCOL:
-        old, who = ("old", "the bench") if protocol < PROTOCOL else ("new", "the centre")
+def _require_understood(protocol: int, schema_revision: str | None) -> None:
+    ours = tuple(versions_here().values())
+    its = (protocol, schema_revision or ours[1])
+    if its != ours:
+        old, who = ("old", "the bench") if its < ours else ("new", "the centre")
         raise Refused(
-            f"the calrig of this bench is too {old} for the centre (protocol {protocol} instead of "
-            f"{PROTOCOL}): upgrade {who} first"
+            f"the calrig of this bench is too {old} for the centre (protocol {its[0]}, schema {its[1]} "
+            f"instead of {ours[0]}, {ours[1]}): upgrade {who} first"
         )
 
 
@@ -180,6 +186,13 @@ def _clock(row: BenchTable) -> dict[str, float | str | None]:
     """What a membership says of the bench's clock."""
     skew_s = said_skew_s(row.said.get("clock_skew_s"))
     return {"clock_skew_s": skew_s, "clock": skew_in_words(skew_s)}
+
+
+def _versions(row: BenchTable) -> dict[str, str | None]:
+    """What a membership says of the bench's calrig."""
+    said = row.said.get("version"), row.said.get("schema_revision")
+    version, revision = (one if isinstance(one, str) else None for one in said)
+    return {"version": version, "schema_revision": revision}
 
 
 def _require_centre(session: Session) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,40 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_goes_on_delivering_where_it_wa
     assert [*states.values()] == ["queued", "running", "completed"]
     with Store.open(f"sqlite:///{spool}", writer=None) as store:
         assert told.n_samples == len(store.samples.of(run_id))
+
+
+def test_a_day_without_the_centre_is_delivered_whole_and_begins_nothing_by_itself(
+    centre: HandWritten, rig: Rig, spool: Path, cable: Cable
+) -> None:
+    """The day passes by the clock that the agent is given: an hour between what happens."""
+    rng, now_s = random.Random(31), [0.0]
+    with agent_at(cable.url, spool, rig, now_s=lambda: now_s[0]) as agent:
+        cable.cut()
+        own: list[str] = []
+        ordered: list[str] = []
+        for hour in range(24):
+            now_s[0] += 3600.0
+            assert not agent.lease.is_held()
+            if rng.random() < 0.4:
+                ordered.append(centre.order(unit=f"ordered {hour}"))
+            if rng.random() < 0.4:
+                own.append(agent.service.start(unit=f"own {hour}", plan=Plan.model_validate(QUICK)).id)
+                assert agent.service.wait(own[-1]).status == "completed"
+        stop = centre.command("stop", rig="bench-1", age_s=20 * 3600.0)
+        pause = centre.command("pause", run_uid=own[0], age_s=3600.0)
+        assert agent.lease.losses == 1
+        cable.mend()
+        told = [centre.ended(run_id) for run_id in own]
+        answer = wait_for(lambda: centre.answer(stop), "answer to the stop of hours ago")
+        wait_for(lambda: all(centre.held_epoch(run_id) == 1 for run_id in ordered), "orders held back")
+        wait_for(lambda: agent.service.store.spool.undelivered() == [], "delivery")
+        assert [centre.taken_epoch(run_id) for run_id in ordered] == [0] * len(ordered)
+    assert (len(own), len(ordered)) == (11, 14)
+    assert answer["status"] == 200
+    assert centre.taken_at(pause) is None
+    for run in told:
+        assert once_in_order(run.events)
+        assert run.poses == list(range(6))
 
 
 def test_a_server_that_throws_the_bench_out_meets_it_again(

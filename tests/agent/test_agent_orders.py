@@ -27,7 +27,7 @@ from calrig.runs.assignment import NewRun, order_part, ordered_run
 from calrig.runs.follow_up import FollowUpRun
 from calrig.settings import BoardSettings, RigSettings, StageSettings
 from calrig.store import Store
-from calrig.store.bench_tables import PROTOCOL
+from calrig.store.benches import versions_here
 
 
 def test_an_ordered_run_is_carried_out_once_and_delivered_in_order(
@@ -229,10 +229,11 @@ def test_what_was_ordered_before_the_agent_began_waits_until_it_is_ordered_anew(
         assert centre.ended(run_id).status == "completed"
 
 
+@pytest.mark.parametrize("other", [{"protocol": 2}, {"schema_revision": "0017"}, {"schema_revision": "9999"}])
 def test_an_agent_of_another_version_takes_no_orders_delivers_and_can_be_stopped(
-    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+    centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch, other: dict[str, int | str]
 ) -> None:
-    monkeypatch.setattr("calrig.agent.agent.PROTOCOL", PROTOCOL + 1)
+    monkeypatch.setattr("calrig.agent.agent.versions_here", lambda: {**versions_here(), **other})
     with agent_at(centre.bench_url, spool, rig, is_accepted=False) as agent:
         wait_for(lambda: centre._one("SELECT refused FROM bench"), "refusal")
         run_id = centre.order()

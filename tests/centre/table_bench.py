@@ -13,7 +13,8 @@ from sqlmodel import Session, col, select, update
 from calrig.centre.service import CentreService
 from calrig.runs.service import RunService
 from calrig.store import Event, RawSamples, Run, Store, StoredPose
-from calrig.store.bench_tables import PROTOCOL, BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
+from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
+from calrig.store.benches import versions_here
 from calrig.store.parcels import packed_row
 from calrig.store.tables import SampleBlockTable
 
@@ -50,7 +51,7 @@ class TableBench:
     """
 
     def __init__(self, url: str, name: str = "hall-2", rig: str = "bench-1") -> None:
-        self.name, self.rig, self.protocol = name, rig, PROTOCOL
+        self.name, self.rig, self.versions = name, rig, versions_here()
         self._engine: Engine = create_engine(url)
         with Session(self._engine) as session:
             session.add(BenchTable(name=name, hall="north", said={}))
@@ -78,7 +79,7 @@ class TableBench:
             now = session.connection().execute(text("SELECT clock_timestamp()")).scalar_one()
             row = session.get_one(BenchTable, self.name)
             row.last_seen_at = now - timedelta(seconds=ago_s)
-            row.said = {"rigs": [rig], "protocol": self.protocol}
+            row.said = {"rigs": [rig], **self.versions}
             session.commit()
 
     def is_gone(self) -> None:

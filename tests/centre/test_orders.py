@@ -5,14 +5,14 @@ from __future__ import annotations
 from contextlib import closing
 
 import pytest
+from sqlalchemy import create_engine, text
 from support import QUICK, serving, wait_for
 from table_bench import Measured, TableBench
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
 from calrig.centre.service import CentreService
 from calrig.plan import Plan
-from calrig.store.bench_tables import PROTOCOL
-from calrig.store.benches import HELD
+from calrig.store.benches import HELD, versions_here
 from calrig.store.errors import Refused
 
 
@@ -139,18 +139,33 @@ def test_a_run_that_its_bench_holds_back_says_so_and_is_ordered_anew_by_a_person
 def test_a_bench_that_takes_no_orders_is_shown_and_given_none_but_such_as_wait(
     centre: CentreService, bench: TableBench, plan: Plan
 ):
-    bench.protocol = 1
+    bench.versions = {**versions_here(), "schema_revision": "0017"}
     bench.beat()
     with serving(centre) as client:
         (listed,), (shown,) = client.get("/api/benches").json(), client.get("/api/benches/overview").json()
         assert "too old" in listed["refused"] and "too old" in shown["refused"]
+        assert listed["schema_revision"] == "0017"
         with pytest.raises(Conflict, match="bench hall-2 takes no orders: its calrig is too old"):
             centre.start(unit="A", plan=plan)
         run_id = centre.start(unit="A", plan=plan, queue=True).id
         wait_for(lambda: "too old" in (centre.run(run_id).error or ""), "reason")
-        bench.protocol = PROTOCOL
+        bench.versions = versions_here()
         bench.beat()
         wait_for(lambda: centre.run(run_id).error is None, "end of it")
+
+
+def test_a_centre_writes_nothing_into_tables_that_a_newer_one_has_changed_meanwhile(
+    centre: CentreService, bench: TableBench, plan: Plan, url: str
+):
+    engine = create_engine(url)
+    with engine.begin() as newer:
+        newer.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    engine.dispose()
+    with serving(centre) as client:
+        refused = client.post("/api/runs", json={"unit": "A", "plan": plan.model_dump(mode="json")})
+        assert refused.status_code == 503
+        assert "another calrig changed the tables meanwhile (revision 9999" in refused.json()["detail"]
+        assert client.get("/api/runs").json()["items"] == []
 
 
 def test_a_second_bench_with_a_rig_of_the_name_is_refused_and_keeps_the_first_one_from_nothing(

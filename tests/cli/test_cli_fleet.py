@@ -64,7 +64,7 @@ def test_a_failed_run_is_a_line_and_the_report_is_made(runs, monkeypatch):
     assert runs[0] in told
 
 
-def test_without_dask_calrigs_own_processes_do_it_and_a_scheduler_cannot(runs, monkeypatch):
+def test_without_dask_a_scheduler_cannot_be_named_and_calrigs_own_processes_do_it(runs, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert json.loads(calrig("fleet", "--json").stdout)["changed"][0]["verdict_now"] == "named"
     calrig("diagnose", runs[0])

@@ -17,6 +17,7 @@ from sqlalchemy import make_url
 from support import wait_for
 
 from calrig.store.bench_tables import PROTOCOL
+from calrig.store.benches import versions_here
 
 NOW = "2026-11-22T12:00:00.000000"
 FILLING = f"""
@@ -129,7 +130,7 @@ def test_all_else_is_refused(bench: psycopg.Connection, query: str) -> None:
 
 def report(bench: psycopg.Connection, *rigs: object, **more: object) -> str | None:
     """A bench says which rigs it has; why it takes no orders, as the database judges it."""
-    said = {"rigs": [{"name": rig} for rig in rigs], "protocol": PROTOCOL, **more}
+    said = {"rigs": [{"name": rig} for rig in rigs], **versions_here(), **more}
     answer = bench.execute("UPDATE bench SET said = %s RETURNING refused", [json.dumps(said)]).fetchone()
     assert answer is not None
     return answer[0]
@@ -159,16 +160,42 @@ def test_the_second_bench_with_a_rig_of_one_name_takes_no_orders_and_does_the_re
 
 
 @pytest.mark.parametrize(
-    ("protocol", "why"),
-    [(None, "too old"), ("x", "too old"), (PROTOCOL - 1, "too old"), (PROTOCOL + 1, "too new")],
+    ("told", "why"),
+    [
+        ({"protocol": None}, "too old"),
+        ({"protocol": "x"}, "too old"),
+        ({"protocol": PROTOCOL - 1}, "too old"),
+        ({"protocol": PROTOCOL + 1}, "too new"),
+        ({"schema_revision": None}, "too old"),
+        ({"schema_revision": {"9999": "9999"}}, "too old"),
+        ({"schema_revision": "0017"}, f"too old for the centre (protocol {PROTOCOL}, schema 0017 instead of"),
+        ({"schema_revision": "9999"}, f"too new for the centre (protocol {PROTOCOL}, schema 9999 instead of"),
+        ({"protocol": PROTOCOL + 1, "schema_revision": "0017"}, "too new"),
+    ],
 )
 def test_a_bench_of_another_version_takes_no_orders(
-    centre: Centre, bench: psycopg.Connection, protocol: object, why: str
+    centre: Centre, bench: psycopg.Connection, told: dict[str, object], why: str
 ) -> None:
-    assert why in (report(bench, "r1", protocol=protocol) or "")
+    assert why in (report(bench, "r1", **told) or "")
     assert bench.execute(TAKING).rowcount == 0
     (told,) = [one.refused for one in centre.store.enrolment.benches() if one.name == "a"]
     assert why in (told or "")
+
+
+def test_an_upgrade_of_the_centre_refuses_what_became_too_old_before_it_reports_again(
+    centre: Centre, bench: psycopg.Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = {"rigs": [{"name": "r1"}], **versions_here()}
+    row = "UPDATE bench SET said = %s, last_seen_at = %s RETURNING refused"
+    assert bench.execute(row, [json.dumps(said), NOW]).fetchone() == (None,)
+    with monkeypatch.context() as upgraded:
+        upgraded.setattr("calrig.store.postgresql.set_up.revisions", lambda: ["9999"])
+        prepare(centre.url)
+        (told,) = bench.execute("SELECT refused FROM bench").fetchone() or ("",)
+        assert "too old for the centre" in (told or "")
+        assert bench.execute(TAKING).rowcount == 0
+    prepare(centre.url)
+    assert bench.execute(TAKING).rowcount == 1
 
 
 @pytest.mark.parametrize("rigs", [None, 17, "r1", [17, None, {"name": {"name": "r1"}}], {"name": ["r1"]}])

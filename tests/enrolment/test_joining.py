@@ -25,6 +25,7 @@ from calrig.runs.service import RunService
 from calrig.settings import CentreSettings
 from calrig.store import Store
 from calrig.store.bench_tables import PROTOCOL
+from calrig.store.benches import versions_here
 from calrig.store.enrolment import WrongCode
 from calrig.store.errors import NotFound, Refused
 from calrig.store.postgresql.agent_url import agent_url, is_on_this_machine
@@ -35,7 +36,7 @@ TOKEN = "the-benches-of-building-4"
 
 def by(code: str) -> dict[str, object]:
     """What an agent of this version joins by."""
-    return {"code": code, "protocol": PROTOCOL}
+    return {"code": code, **versions_here()}
 
 
 @pytest.fixture
@@ -102,12 +103,14 @@ class TestCodes:
     ) -> None:
         rig = f"rig-of-{name}"
         with connect(centre.join(f"{name}-a")) as other:
-            said = {"rigs": [{"name": rig}], "protocol": PROTOCOL}
+            said = {"rigs": [{"name": rig}], **versions_here()}
             other.execute("UPDATE bench SET said = %s", [json.dumps(said)])
         _, code = centre.store.enrolment.add(name)
         for joins, why in (
             ({"protocol": PROTOCOL - 1}, "too old .* upgrade the bench first"),
             ({"protocol": PROTOCOL + 1}, "too new .* upgrade the centre first"),
+            ({"schema_revision": "0017"}, rf"too old .* \(protocol {PROTOCOL}, schema 0017 instead of"),
+            ({"schema_revision": "9999"}, "too new .* upgrade the centre first"),
             ({"rigs": ["r", rig]}, f"bench {name}-a has a rig '{rig}' already"),
         ):
             with pytest.raises(Refused, match=why):

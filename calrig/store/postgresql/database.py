@@ -15,7 +15,7 @@ from sqlmodel import Session
 from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database, migrate, revisions
-from calrig.store.errors import StoreDamagedError, StoreError
+from calrig.store.errors import StoreDamagedError, StoreError, StoreUnavailableError
 from calrig.store.postgresql.errors import DAMAGED, store_error
 from calrig.store.postgresql.set_up import is_secure, is_set_up, keep_benches_out, secure, set_up
 from calrig.store.records import Size
@@ -81,7 +81,7 @@ class PostgresqlDatabase(Database):
             raise
 
     def _prepare(self) -> None:
-        head = revisions()[-1]
+        head = self._head = revisions()[-1]
         with self._engine.connect() as connection:
             stored = self._stored_revision(connection)
             is_ready = not self._may_write or (is_set_up(connection) and is_secure(connection))
@@ -169,7 +169,17 @@ class PostgresqlDatabase(Database):
                 session.rollback()
                 continue
             session.execute(text(f"SET LOCAL lock_timeout = {1000 * self._timeout_s:.0f}"))
+            self._require_own_tables(session)
             return
+
+    def _require_own_tables(self, session: Session) -> None:
+        """Refuse to write into tables that a newer calrig has changed since this one opened them."""
+        stored = session.execute(text("SELECT version_num FROM alembic_version")).scalar()
+        if stored != self._head:
+            raise StoreUnavailableError(
+                f"{self.name}: another calrig changed the tables meanwhile (revision {stored}; this one "
+                f"writes {self._head}); nothing was changed: install the same version here and start it again"
+            )
 
     def give_back_space(self) -> None:
         """Nothing: the server's own autovacuum does."""

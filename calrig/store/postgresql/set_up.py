@@ -16,6 +16,7 @@ from psycopg import sql
 from sqlalchemy import Connection, text
 
 from calrig.store.bench_tables import PROTOCOL
+from calrig.store.database import revisions
 from calrig.store.errors import Refused
 
 EVENTS, PARCELS = "calrig_event", "calrig_parcel"
@@ -126,6 +127,9 @@ JUDGE_BENCH = f"""
     LANGUAGE plpgsql SECURITY DEFINER SET search_path = {{schema}}, pg_temp AS $$
     DECLARE
         spoken text := coalesce(substring(NEW.said ->> 'protocol' FROM '^[0-9]{{{{1,9}}}}$'), '1');
+        shaped text := coalesce(substring(NEW.said ->> 'schema_revision' FROM '^[0-9]{{{{4}}}}$'), '0000');
+        versions text := '(protocol ' || spoken || ', schema ' || shaped
+            || ' instead of {PROTOCOL}, {{revision}})';
         mine jsonb := jsonb_path_query_array(NEW.said::jsonb, '$.rigs[*].name');
         twin record;
     BEGIN
@@ -137,12 +141,11 @@ JUDGE_BENCH = f"""
          LIMIT 1;
         NEW.bears := CASE WHEN twin IS NULL THEN mine::text END;
         NEW.refused := CASE
-            WHEN spoken::int < {PROTOCOL} THEN
-                'its calrig is too old for the centre (protocol ' || spoken || ' instead of {PROTOCOL}): '
-                'install the centre''s version on the bench'
-            WHEN spoken::int > {PROTOCOL} THEN
-                'its calrig is too new for the centre (protocol ' || spoken || ' instead of {PROTOCOL}): '
-                'upgrade the centre'
+            WHEN (spoken::int, shaped) < ({PROTOCOL}, '{{revision}}') THEN
+                'its calrig is too old for the centre ' || versions
+                || ': install the centre''s version on the bench'
+            WHEN (spoken::int, shaped) > ({PROTOCOL}, '{{revision}}') THEN
+                'its calrig is too new for the centre ' || versions || ': upgrade the centre'
             WHEN twin IS NOT NULL THEN
                 'bench ' || twin.name || ' has a rig ' || quote_literal(twin.rig) || ' already: give the '
                 'rigs names of their own in calrig.toml, or revoke the other bench'
@@ -181,6 +184,8 @@ _LAID = """
        AND NOT has_database_privilege('public', current_database(), 'CONNECT, TEMP')
 """
 _JOINED = "SELECT role FROM bench JOIN pg_roles ON rolname = role WHERE revoked_at IS NULL"
+_JUDGE_AGAIN = "UPDATE bench SET said = said WHERE last_seen_at IS NOT NULL AND revoked_at IS NULL"
+"""An upgrade refuses what became too old at once, and not at its next report."""
 _MAY_GRANT = """
     SELECT pg_has_role(:group, 'MEMBER WITH ADMIN OPTION')
         OR rolcreaterole AND current_setting('server_version_num')::int < 160000
@@ -208,6 +213,7 @@ def secure(connection: Connection) -> None:
         connection.exec_driver_sql(statement)
     for role in connection.scalars(text(_JOINED)).all():  # a dump does not tell who may connect
         _let_connect(connection, role)
+    connection.exec_driver_sql(_JUDGE_AGAIN)
     connection.exec_driver_sql(f"COMMENT ON FUNCTION calrig_my_bench() IS '{_mark(statements)}'")
 
 
@@ -313,7 +319,7 @@ def _statements(connection: Connection) -> list[str]:
             f"GRANT {', '.join(one.grants)} ON {one.table} TO {GROUP}",
         ]
     laid += [
-        JUDGE_BENCH.format(schema=schema),
+        JUDGE_BENCH.format(schema=schema, revision=revisions()[-1]),
         f"REVOKE ALL ON FUNCTION calrig_judge_bench() {everybody}",
         "CREATE OR REPLACE TRIGGER calrig_judge BEFORE UPDATE OF said ON bench "
         "FOR EACH ROW EXECUTE FUNCTION calrig_judge_bench()",

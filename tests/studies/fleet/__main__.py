@@ -8,21 +8,18 @@ from the files, and from packed poses in memory, of which one piece is screened 
 from __future__ import annotations
 
 import argparse
-import resource
 import sys
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-import psutil
-
 from calrig.analysis.fleet import glance_at_files
 from calrig.export.poses_parquet import write_poses
 
 from .made import RUNS_A_PIECE, fleet, screened_again
+from .measuring import Memory, processor_s
 
 AT_THE_LIMIT = "limit backlash 0.038°"
 
@@ -64,13 +61,13 @@ def _of_memory(pieces: int, cores: int) -> tuple[int, int]:
 
 def _measured(what: str, cores: int, trial: Callable[[], tuple[int, int]]) -> None:
     """Prints a trial: time, and the most memory that it and its processes held at once."""
-    with _Memory() as memory:
-        began_s, spent_s = time.monotonic(), _processor_s()
+    with Memory() as memory:
+        began_s, spent_s = time.monotonic(), processor_s()
         runs, stood_out = trial()
-        wall_s, processor_s = time.monotonic() - began_s, _processor_s() - spent_s
-    per_run_us = 1e6 * processor_s / runs
+        wall_s, spent_s = time.monotonic() - began_s, processor_s() - spent_s
+    per_run_us = 1e6 * spent_s / runs
     _say(
-        f"| {what} | {cores} | {runs:,} | {wall_s:.1f} | {processor_s:.1f} | {per_run_us:.0f} "
+        f"| {what} | {cores} | {runs:,} | {wall_s:.1f} | {spent_s:.1f} | {per_run_us:.0f} "
         f"| {stood_out / runs:.4f} | {memory.most_mb:.0f} |"
     )
 
@@ -78,37 +75,6 @@ def _measured(what: str, cores: int, trial: Callable[[], tuple[int, int]]) -> No
 def _say(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
-
-
-def _processor_s() -> float:
-    own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
-
-
-class _Memory:
-    """Looks every tenth of a second at what this process and those that it started hold."""
-
-    def __enter__(self) -> _Memory:
-        self.most_mb = 0.0
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _look(self) -> None:
-        own = psutil.Process()
-        while not self._ended.wait(0.1):
-            held = 0
-            for process in (own, *own.children(recursive=True)):
-                try:
-                    held += process.memory_info().rss
-                except psutil.NoSuchProcess:
-                    continue
-            self.most_mb = max(self.most_mb, held / 1e6)
 
 
 if __name__ == "__main__":

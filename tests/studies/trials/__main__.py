@@ -19,7 +19,7 @@ from tests.studies.trials.counting import Count, Extent, Trial
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # inherited by the workers, who load numpy anew: one core each
 
-NAMES = ("kills", "faults", "requests", "imports", "load", "stop", "benches", "cuts", "amendments")
+NAMES = ("kills", "faults", "requests", "imports", "load", "stop", "benches", "cuts", "amendments", "upgrade")
 """Modules beside this one, each with a `trial`."""
 
 

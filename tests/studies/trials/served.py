@@ -19,7 +19,14 @@ import httpx
 from calrig.settings import RigSettings
 
 START_S = 60.0
+HERE: dict[str, str] = {}
+"""The program that a trial tries: what `of_program` gives of another one comes in its place."""
 T = TypeVar("T")
+
+
+def of_program(folder: Path) -> dict[str, str]:
+    """Environment in which `python -m calrig` is the one that lies in a folder."""
+    return {"PYTHONPATH": str(folder), "PYTHONSAFEPATH": "1"}
 
 
 def configured(folder: Path, rigs: list[RigSettings]) -> Path:
@@ -42,7 +49,14 @@ class Served:
     Where there is a token, the client shows it. A centre's store is `db`, and its log lies beside `store`.
     """
 
-    def __init__(self, config: Path, store: Path, token: str = "", db: str | None = None) -> None:
+    def __init__(
+        self,
+        config: Path,
+        store: Path,
+        token: str = "",
+        db: str | None = None,
+        program: dict[str, str] = HERE,
+    ) -> None:
         command = [sys.executable, "-m", "calrig", "serve", "--port", "0"]
         self._log = store.with_suffix(".log").open("ab")
         self.process = subprocess.Popen(
@@ -50,7 +64,7 @@ class Served:
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
-            env={**os.environ, "CALRIG_TOKEN": token} if token else None,
+            env={**os.environ, **program, **({"CALRIG_TOKEN": token} if token else {})},
         )
         too_late = threading.Timer(START_S, self.process.kill)
         too_late.start()
