@@ -24,9 +24,12 @@ from postgresql_server import (  # noqa: F401 (fixtures)
     postgresql_server,
     postgresql_template,
 )
+from shared_processes import in_shared_process
 from support import QUICK, fast, known_as, running_service, serving
 
+from calrig.analysis import stored_runs, unit_of_work
 from calrig.plan import Plan
+from calrig.runs import follow_up
 from calrig.settings import RigSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.virtual_clock import VirtualClock
@@ -82,6 +85,15 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     """
     if not hasattr(config, "workerinput"):
         faulthandler.dump_traceback_later(ENDS_S, exit=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _processes_are_shared() -> Iterator[None]:
+    """Fits of what is accepted, and follow-ups, run in processes that serve all tests of a worker."""
+    with pytest.MonkeyPatch.context() as patched:
+        for module in (unit_of_work, stored_runs, follow_up):
+            patched.setattr(module, "run_in_subprocess", in_shared_process)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -76,3 +76,8 @@ class SharedProcesses(Processes):
 def shared_processes() -> SharedProcesses:
     """Those of this test worker or trial: they end with it."""
     return SharedProcesses()
+
+
+def in_shared_process(function: Callable[[], T]) -> T:
+    """As `calrig.processes.pool.run_in_subprocess`, in a process that is there already."""
+    return asyncio.run(shared_processes().run(function))
