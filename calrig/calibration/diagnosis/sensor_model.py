@@ -195,6 +195,8 @@ class FeltMoves:
 MOST_STEPS = 8
 NEGLIGIBLE = 0.03
 """Of a channel's residuals: what is less than that from being linear is as good as linear."""
+DIVERGED = 1e6
+"""Of any response, what bends by the coefficients: no reading is thousands of turns away."""
 LARGEST_G = 0.5
 """Of an axis' error; a vector with more says nothing of the angle, and the fit stays linear."""
 DISTANCE = 30.0
@@ -356,8 +358,8 @@ class Curve:
         return float((np.abs(self.residuals(beta) - residuals) / size).max())
 
     def is_possible(self, beta: FloatArray) -> bool:
-        """Return whether what is left of the vector still says where the sensor points."""
-        return all(
+        """Return whether the vector that is left tells where the sensor points, and no fit diverges."""
+        return bool((np.abs(self._bent(beta)) < DIVERGED).all()) and all(
             bool((np.abs(error) < LARGEST_G).all()) for error in self._error(beta, self._felt_deg(beta))
         )
 
