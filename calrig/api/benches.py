@@ -4,8 +4,6 @@ That page shows everything and starts and stops runs. Only the centre amends run
 knows users: such a change in a bench's spool would never reach it.
 """
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 import logging
 import re
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Issued calibrations: the one in force byte for byte, every revision, drafts, release and withdrawal."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Annotated, Literal, Self, cast
 

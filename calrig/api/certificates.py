@@ -1,7 +1,5 @@
 """Certificates as they were issued: numbered, listed, and served byte for byte."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Annotated, Literal
 

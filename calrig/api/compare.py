@@ -1,7 +1,5 @@
 """Units side by side, and what changed from each run of a unit to the next."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Annotated, TypeVar

@@ -1,7 +1,5 @@
 """Diagnoses: trace the residual, accept effects, start the follow-up run; and the catalogue of effects."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from contextlib import suppress
 from typing import Annotated, Any
 

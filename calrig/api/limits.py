@@ -1,7 +1,5 @@
 """Limits that units are tested against, in the order in which they are tried."""
 
-# No `from __future__ import annotations`: FastAPI reads the annotations of the paths.
-
 from typing import Annotated
 
 from fastapi import APIRouter, Body

@@ -1,7 +1,5 @@
 """Bodies and answers of the API, exactly CONTRACT section 2: the OpenAPI document is made from these."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """Studies of noise and filters: of a run's samples, or of uploaded logs, which are kept in a list."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from functools import partial
 from typing import Annotated, Any

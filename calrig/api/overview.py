@@ -1,7 +1,5 @@
 """Every rig of every bench at once: one look into the store for all pages that ask every other second."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 import gzip
 import hashlib
 from datetime import datetime

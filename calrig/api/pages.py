@@ -5,8 +5,6 @@ names the digest, is asked about each time. Modules import each other by relativ
 one digest. `/web/main.js`, and a digest of before, answer what there is now, to be asked about again.
 """
 
-# No `from __future__ import annotations`: FastAPI reads the annotations of functions in here.
-
 import hashlib
 import re
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Plans: the estimate of a plan on a rig, and the design of a plan."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any

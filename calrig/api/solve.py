@@ -1,7 +1,5 @@
 """Joint solutions of stored runs (CONTRACT section 8): stage, mounts and units; each solution is stored."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal, Self

@@ -1,7 +1,5 @@
 """The trail: who did what, when and why."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Users, managed by an admin: name, role and token."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from typing import Annotated
 
 from fastapi import APIRouter

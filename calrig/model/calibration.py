@@ -1,7 +1,5 @@
 """A unit's issued calibration (CONTRACT section 6), and its state among the unit's revisions."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Units side by side: their calibrations, how each drifts, and whether it changed."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A diagnosis (CONTRACT section 5): the effects that the residual of a run was traced to, and the errors."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Any, Literal
 

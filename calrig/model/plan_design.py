@@ -1,7 +1,5 @@
 """The estimate of a plan on a rig, and the design of a plan (CONTRACT section 9)."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from pydantic import Field
 
 from calrig.model.base import Model

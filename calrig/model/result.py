@@ -1,7 +1,5 @@
 """The result of a run: the fitted line, its errors of indication, the gyro, and what it rests on."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Self

@@ -1,7 +1,5 @@
 """A run: its status, how far it is, and everything known of it but its plan and its verdict."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Any, Literal
 

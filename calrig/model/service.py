@@ -1,7 +1,5 @@
 """What a service reports of itself: its rigs, jobs, users and benches."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Literal
 

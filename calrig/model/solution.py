@@ -1,7 +1,5 @@
 """A joint solution of stage, mounts and units (CONTRACT section 8)."""
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from datetime import datetime
 from typing import Any, Literal
 

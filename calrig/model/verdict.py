@@ -3,8 +3,6 @@
 `calrig.calibration.uncertainty.verdict` makes verdicts; `calrig.store.verdicts` finds runs by them.
 """
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 

@@ -25,9 +25,6 @@ from calrig.store.database import Repository
 from calrig.store.records import Document
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 Text = Annotated[str, Field(max_length=10_000)]
 
 

@@ -40,9 +40,6 @@ Crc32 = BigInteger().with_variant(Integer(), "sqlite")
 """Unsigned 32 bits, one more than PostgreSQL's integer holds."""
 
 
-# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
-
-
 class UnitTable(SQLModel, table=True):
     """A sensor by its serial number."""
 
@@ -363,9 +360,6 @@ class ItemTable(SQLModel, table=True):
     at: datetime = Field(sa_type=UtcText)
 
 
-# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
-
-
 class BatchTable(SQLModel, table=True):
     """A list of units that are calibrated one after the other; `document` is what holds of all of them."""
 
@@ -404,9 +398,6 @@ class WebhookDeliveryTable(SQLModel, table=True):
     tries: int
     delivered_at: datetime | None = Field(default=None, sa_type=UtcText)
     error: str | None = None
-
-
-# No `from __future__ import annotations`: SQLModel reads the annotations of the classes.
 
 
 class FleetFindingTable(SQLModel, table=True):
