@@ -1,6 +1,5 @@
 """Studies of noise and filters: of a run's samples, or of uploaded logs, which are kept in a list."""
 
-from datetime import datetime
 from functools import partial
 from typing import Annotated, Any
 
@@ -26,7 +25,7 @@ from calrig.api.jobs import ACCEPTED, BackgroundWork, Heavy, Wait
 from calrig.model.base import Model
 from calrig.model.noise import FiltersStudy, NoiseStudy
 from calrig.store import Run
-from calrig.store.fleet import StudyKind
+from calrig.store.fleet import LogStudy
 
 router = APIRouter(tags=["noise"])
 
@@ -140,25 +139,15 @@ async def _of_file(
     return await heavy.answer(work, wait=wait)
 
 
-class StudyAnswer(Model):
-    """A study of a file that somebody brought."""
-
-    id: str
-    created_at: datetime
-    studied_by: str | None
-    kind: StudyKind
-    file_name: str
-
-
 class KeptStudy(Model):
     """One with what was found: `noise` or `filters`, the other is null."""
 
-    study: StudyAnswer
+    study: LogStudy
     noise: NoiseStudy | None
     filters: FiltersStudy | None
 
 
-@router.get("/api/log-studies", response_model=list[StudyAnswer], summary="Logs that people brought")
+@router.get("/api/log-studies", response_model=list[LogStudy], summary="Logs that people brought")
 def studies(context: Context) -> object:
     """The latest 200, the newest first; what each found is at its own address."""
     return context.store.studies.newest()

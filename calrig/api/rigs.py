@@ -22,6 +22,7 @@ from calrig.api.models import Body
 from calrig.model.base import Model
 from calrig.model.noise import Figure
 from calrig.model.solution import ErrorMap
+from calrig.store.rigs import CheckUnit
 
 router = APIRouter(tags=["rigs"])
 
@@ -205,18 +206,9 @@ class CheckUnitAnswer(Model):
     suspect_runs: list[str]
 
 
-class NamedCheckUnit(Model):
-    """Which unit a rig is checked by, and how often."""
-
-    rig: str
-    unit: str
-    interval_days: float
-    named_at: datetime
-
-
 @router.get(
     "/api/check-units",
-    response_model=list[NamedCheckUnit],
+    response_model=list[CheckUnit],
     summary="The check units of all rigs that have one",
 )
 def list_check_units(context: Context) -> object:

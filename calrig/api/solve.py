@@ -24,7 +24,6 @@ from calrig.figures.joint import joint_figure
 from calrig.model.noise import Figure
 from calrig.model.solution import Frame, ListedSolution, PoseResiduals, Solution
 from calrig.store.records import Document
-from calrig.store.solutions import ListedSolution as Listed
 from calrig.store.solutions import StoredSolution
 
 MOST_NAMED = 2000
@@ -112,7 +111,7 @@ def list_solutions(
     limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100,
 ) -> list[ListedSolution]:
     """What each rests on, and the RMS of held-out poses without and with the map."""
-    return [_listed(one) for one in context.store.solutions.newest(rig, limit)]
+    return context.store.solutions.newest(rig, limit)
 
 
 @router.get(
@@ -181,12 +180,6 @@ def _require_rig(context: ApiContext, rig: str | None) -> None:
 def _shown(kept: StoredSolution) -> Solution:
     known_by = {"id": kept.id, "created_at": kept.created_at, "by": kept.by, "rig": kept.found.rig}
     return Solution.model_validate({**asdict(kept.found.basis), **known_by, **kept.found.document})
-
-
-def _listed(one: Listed) -> ListedSolution:
-    rms = {"before": one.before_rms_deg, "final": one.final_rms_deg}
-    held_out = {name: {"held_out_rms_deg": value} for name, value in rms.items()}
-    return ListedSolution.model_validate({**asdict(one), **asdict(one.basis), **held_out})
 
 
 def _file(document: Document) -> Response:

@@ -35,8 +35,7 @@ from calrig.api.errors import no_room, problems, problems_in_json
 from calrig.api.jobs import Heavy
 from calrig.api.measurements import prefers_csv
 from calrig.api.models import Body, UnitAnswer, UnitWithRuns
-from calrig.model.base import Model
-from calrig.store.units import CalibrationItem
+from calrig.store.units import CalibrationItem, ItemField
 
 EVERY_RUN = 2**31
 
@@ -46,9 +45,6 @@ router = APIRouter(tags=["units"])
 TURNS = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Characters that turn the direction of what follows them."""
 Words = Annotated[str, Field(min_length=1, max_length=500)]
-ItemField = Literal[
-    "customer", "address", "order", "received_at", "condition", "description", "interval_agreed_months"
-]
 
 
 class ItemBody(Body):
@@ -86,22 +82,9 @@ class ItemBody(Body):
         return value
 
 
-class ItemAnswer(Model):
-    """What was said of a unit last; null where nobody has said."""
-
-    customer: str | None
-    address: str | None
-    order: str | None
-    received_at: date | None
-    condition: str | None
-    description: str | None
-    interval_agreed_months: int | None
-    supplied: list[ItemField]
-
-
 @router.get(
     "/api/units/{serial:path}/item",
-    response_model=ItemAnswer,
+    response_model=CalibrationItem,
     responses=problems(404),
     summary="The calibration item as received",
 )
@@ -113,13 +96,15 @@ def show_item(unit: KnownUnit, context: Context) -> object:
 @router.put(
     "/api/units/{serial:path}/item",
     dependencies=[requires("operator")],
-    response_model=ItemAnswer,
+    response_model=CalibrationItem,
     responses=problems(404, 413, 422),
     summary="Set the calibration item as received",
 )
 def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> object:
     """All of it at once. Certificates of runs before `received_at` keep what was said before."""
-    said = CalibrationItem(**{**body.model_dump(), "supplied": tuple(dict.fromkeys(body.supplied))})
+    said = CalibrationItem(
+        **body.model_dump(exclude={"supplied"}), supplied=tuple(dict.fromkeys(body.supplied))
+    )
     context.store.items.add(unit.serial, said, who=who)
     return said
 

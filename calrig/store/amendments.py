@@ -190,16 +190,8 @@ def _row(run: int, effect: AcceptedEffect, now: datetime) -> AcceptedEffectTable
         "is_joint": effect.is_joint,
         "is_partial": effect.is_partial,
     }
-    return AcceptedEffectTable(
-        run_id=run,
-        unit=effect.unit,
-        rig=effect.rig,
-        name=effect.name,
-        origin=effect.origin,
-        parameters=effect.parameters,
-        accepted_at=now,
-        fit=fit if effect.runs else None,
-    )
+    said = {name: getattr(effect, name) for name in ("unit", "rig", "name", "origin", "parameters")}
+    return AcceptedEffectTable(run_id=run, **said, accepted_at=now, fit=fit if effect.runs else None)
 
 
 def _replace_joint(session: Session, unit: str, joint: Sequence[AcceptedEffect], now: datetime) -> None:
@@ -217,22 +209,8 @@ def _is_joint(row: AcceptedEffectTable) -> bool:
 
 
 def _accepted(row: AcceptedEffectTable, run_id: str) -> AcceptedEffect:
-    fit = row.fit or {}
-    return AcceptedEffect(
-        run_id=run_id,
-        unit=row.unit,
-        rig=row.rig,
-        name=row.name,
-        origin=row.origin,
-        parameters=row.parameters,
-        id=row.id,
-        runs=fit.get("runs", ()),
-        std=fit.get("std", {}),
-        factor=fit.get("factor", {}),
-        run_offset_std_deg=fit.get("run_offset_std_deg"),
-        is_joint=_is_joint(row),
-        is_partial=fit.get("is_partial", False),
-    )
+    said = {name: getattr(row, name) for name in ("unit", "rig", "name", "origin", "parameters", "id")}
+    return AcceptedEffect(run_id=run_id, **said, **(row.fit or {}))
 
 
 def _marked(diagnosis: Document, accepted: Sequence[AcceptedEffect], now: datetime) -> Document:

@@ -67,6 +67,14 @@ def run_row(session: Session, run_id: str) -> RunTable:
     return row
 
 
+_TEXTS = ("uid", "unit", "rig", "kind", "status", "operator", "note", "voided_reason", "error")
+_UNCHANGED = (
+    *("unit", "rig", "plan", "diagnosis", "faults", "provenance", "operator", "note"),
+    *("created_at", "started_at", "finished_at", "error"),
+)
+"""Columns that a run shows as they are."""
+
+
 def check_texts(values: Iterable[object], what: str) -> None:
     """Raises Unreadable where bytes stand in the place of text: SQLite keeps anything in any column."""
     if not all(value is None or isinstance(value, str) for value in values):
@@ -75,42 +83,20 @@ def check_texts(values: Iterable[object], what: str) -> None:
 
 def run_of(row: RunTable) -> Run:
     """The run of a row."""
-    texts = (
-        row.uid,
-        row.unit,
-        row.rig,
-        row.kind,
-        row.status,
-        row.operator,
-        row.note,
-        row.voided_reason,
-        row.error,
-    )
-    check_texts(texts, f"run {row.uid}")
+    check_texts((getattr(row, name) for name in _TEXTS), f"run {row.uid}")
     if row.status not in get_args(Status):
         raise Unreadable(f"run {row.uid} is not what was stored: there is no status {row.status[:40]!r}")
     voided: Voided | None = None
     if row.voided_reason is not None and row.voided_at is not None:
         voided = Voided(reason=row.voided_reason, at=row.voided_at)
     return Run.model_construct(
+        **{name: getattr(row, name) for name in _UNCHANGED},
         id=row.uid,
-        unit=row.unit,
-        rig=row.rig,
         status=cast(Status, row.status),
-        plan=row.plan,
         progress=_read(Progress, row.progress),
         result=None if row.result is None else _read(Result, row.result),
-        diagnosis=row.diagnosis,
-        faults=row.faults,
         follows=None if row.follows is None else _followed_by(row),
-        provenance=row.provenance,
-        operator=row.operator,
-        note=row.note,
         voided=voided,
-        created_at=row.created_at,
-        started_at=row.started_at,
-        finished_at=row.finished_at,
-        error=row.error,
         limit=None if row.result is None else _limit_of(row),
     )
 

@@ -9,7 +9,7 @@ import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from sqlmodel import Session, col, select
 from calrig.calibration.packed_poses import PackedPoses
 from calrig.calibration.poses import COLUMNS, GYRO_MEANS
 from calrig.estimation.angles import FloatArray
+from calrig.model.base import Model
 from calrig.store import checksums
 from calrig.store.convert import POSE_NUMBERS
 from calrig.store.database import Repository
@@ -241,8 +242,7 @@ MOST_LISTED = 200
 _STUDY = sqlalchemy.inspect(LogStudyTable).local_table.c
 
 
-@dataclass(frozen=True, slots=True)
-class LogStudy:
+class LogStudy(Model):
     """A study that was made: of which file, when, and by whom where that is known by name."""
 
     id: str
@@ -269,21 +269,23 @@ class Studies(Repository):
                 document=document,
             )
             session.add(row)
-            return _of(row)
+            return LogStudy.model_validate(row)
 
     def newest(self) -> list[LogStudy]:
         """The latest of them, the newest first, without what they found."""
-        wanted = sqlalchemy.select(
-            _STUDY.id, _STUDY.created_at, _STUDY.studied_by, _STUDY.kind, _STUDY.file_name
-        ).order_by(_STUDY.created_at.desc(), _STUDY.id.desc())
+        wanted = sqlalchemy.select(*(_STUDY[name] for name in LogStudy.model_fields))
+        wanted = wanted.order_by(_STUDY.created_at.desc(), _STUDY.id.desc())
         with self._database.reading() as session:
-            return [LogStudy(*row) for row in session.connection().execute(wanted.limit(MOST_LISTED))]
+            return [
+                LogStudy.model_validate(row)
+                for row in session.connection().execute(wanted.limit(MOST_LISTED))
+            ]
 
     def get(self, study_id: str) -> tuple[LogStudy, Document] | None:
         """One with what it found; None where there is none of that id."""
         with self._database.reading() as session:
             row = session.exec(select(LogStudyTable).where(col(LogStudyTable.id) == study_id)).first()
-            return None if row is None else (_of(row), row.document)
+            return None if row is None else (LogStudy.model_validate(row), row.document)
 
     def remove(self, study_id: str) -> bool:
         """Whether there was one."""
@@ -292,7 +294,3 @@ class Studies(Repository):
             if row is not None:
                 session.delete(row)
             return row is not None
-
-
-def _of(row: LogStudyTable) -> LogStudy:
-    return LogStudy(row.id, row.created_at, row.studied_by, cast(StudyKind, row.kind), row.file_name)

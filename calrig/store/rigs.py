@@ -8,9 +8,10 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import sqlalchemy
-from sqlalchemy import ColumnElement, Row
+from sqlalchemy import ColumnElement
 from sqlmodel import Session, and_, col, func, or_, select
 
+from calrig.model.base import Model
 from calrig.model.run import UNFINISHED
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound
@@ -27,8 +28,7 @@ from calrig.store.tables import (
 from calrig.store.trail import Act, append
 
 
-@dataclass(frozen=True, slots=True)
-class CheckUnit:
+class CheckUnit(Model):
     """A rig's check unit: runs of it on the rig from `named_at` on are checks, those before its history."""
 
     rig: str
@@ -43,16 +43,14 @@ class CheckStandards(Repository):
     def all(self) -> list[CheckUnit]:
         """Every rig's that has one, by name of the rig."""
         with self._database.reading() as session:
-            return [
-                _check_unit_of(row)
-                for row in session.exec(select(CheckUnitTable).order_by(col(CheckUnitTable.rig)))
-            ]
+            rows = session.exec(select(CheckUnitTable).order_by(col(CheckUnitTable.rig)))
+            return [CheckUnit.model_validate(row) for row in rows]
 
     def of(self, rig: str) -> CheckUnit | None:
         """A rig's, or None."""
         with self._database.reading() as session:
             row = session.get(CheckUnitTable, rig)
-            return None if row is None else _check_unit_of(row)
+            return None if row is None else CheckUnit.model_validate(row)
 
     def name(self, rig: str, unit: str, interval_days: float, *, who: str | None = None) -> CheckUnit:
         """Names a rig's check unit, or gives it another interval; another unit begins anew.
@@ -65,15 +63,12 @@ class CheckStandards(Repository):
                 raise NotFound(f"there is no unit {unit!r}: a unit appears with its first run")
             row = session.get(CheckUnitTable, rig)
             if row is None or row.unit != unit:
-                row = session.merge(
-                    CheckUnitTable(
-                        rig=rig, unit=unit, interval_days=interval_days, named_at=datetime.now(UTC)
-                    )
-                )
+                named = CheckUnit(rig=rig, unit=unit, interval_days=interval_days, named_at=datetime.now(UTC))
+                row = session.merge(CheckUnitTable(**named.model_dump()))
             row.interval_days = interval_days
             session.add(row)
             _tell(session, rig, unit, who, {"unit": unit, "interval_days": interval_days})
-            return _check_unit_of(row)
+            return CheckUnit.model_validate(row)
 
     def remove(self, rig: str, *, who: str | None = None) -> None:
         """Has a rig go without one.
@@ -91,10 +86,6 @@ class CheckStandards(Repository):
 
 def _tell(session: Session, rig: str, unit: str, who: str | None, detail: dict[str, object]) -> None:
     append(session, Act("check_unit_changed", who=who, rig=rig, unit=unit, detail=detail))
-
-
-def _check_unit_of(row: CheckUnitTable) -> CheckUnit:
-    return CheckUnit(row.rig, row.unit, row.interval_days, row.named_at)
 
 
 class StagePositions(Repository):
@@ -122,9 +113,9 @@ _BRIEF: tuple[Any, ...] = (
     RunTable.created_at,
     RunTable.finished_at,
     RunTable.error,
-    RunTable.voided_reason,
+    col(RunTable.voided_reason).is_not(None),
 )
-"""Columns, not objects of the tables, whose plans and provenance nobody reads here."""
+"""Of a `BriefRun`, behind its rig; no objects of the tables, whose plans and provenance nobody reads here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,9 +166,9 @@ class RigSummaries(Repository):
             return found
         with self._database.reading() as session:
             for row in session.connection().execute(_unfinished(rigs)):
-                found[row.rig].unfinished.append(_brief(row))
+                found[row.rig].unfinished.append(BriefRun(*row[1:]))
             for row in session.connection().execute(_last(rigs)):
-                found[row.rig].last = _brief(row)
+                found[row.rig].last = BriefRun(*row[1:])
             for check, last_at in _checks(session, rigs):
                 since = last_at or check.named_at
                 due_at = since + timedelta(days=check.interval_days)
@@ -218,24 +209,7 @@ def _checks(session: Session, rigs: Sequence[str]) -> list[tuple[CheckUnit, date
         .scalar_subquery()
     )
     wanted = select(CheckUnitTable, last_at).where(col(CheckUnitTable.rig).in_(rigs))
-    return [
-        (CheckUnit(row.rig, row.unit, row.interval_days, row.named_at), at)
-        for row, at in session.exec(wanted)
-    ]
-
-
-def _brief(row: Row[Any]) -> BriefRun:
-    return BriefRun(
-        id=row.uid,
-        unit=row.unit,
-        kind=row.kind,
-        status=row.status,
-        progress=row.progress,
-        created_at=row.created_at,
-        finished_at=row.finished_at,
-        error=row.error,
-        is_voided=row.voided_reason is not None,
-    )
+    return [(CheckUnit.model_validate(row), at) for row, at in session.exec(wanted)]
 
 
 @dataclass(frozen=True, slots=True)

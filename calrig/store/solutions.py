@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import uuid
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import sqlalchemy
+from pydantic import TypeAdapter
 
+from calrig.model.solution import ListedSolution
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound
-from calrig.store.records import Document
 from calrig.store.solved import Basis, Solved
 from calrig.store.tables import SolutionTable
 
 _COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c
+_BASIS = TypeAdapter(Basis)
 _NEWEST_FIRST = _COLUMN.created_at.desc(), _COLUMN.id.desc()
 
 
@@ -26,20 +30,6 @@ class StoredSolution:
     created_at: datetime
     by: str | None
     found: Solved
-
-
-@dataclass(frozen=True, slots=True)
-class ListedSolution:
-    """A solution in a list: the RMS of held-out poses without and with the map."""
-
-    id: str
-    created_at: datetime
-    by: str | None
-    rig: str | None
-    basis: Basis
-    separable: bool
-    before_rms_deg: float | None
-    final_rms_deg: float | None
 
 
 _LISTED = (
@@ -65,7 +55,7 @@ class Solutions(Repository):
             created_at=kept.created_at,
             solved_by=by,
             rig=found.rig,
-            basis=_as_document(found.basis),
+            basis=asdict(found.basis),
             document=found.document,
             calibrations=found.calibrations,
             stage_map=found.stage_map,
@@ -85,9 +75,8 @@ class Solutions(Repository):
             row = session.get(SolutionTable, solution_id)
             if row is None:
                 raise NotFound(f"there is no solution {solution_id!r}")
-            found = Solved(
-                row.rig, _basis(row.basis), row.document, row.calibrations, row.stage_map, row.poses
-            )
+            basis = _BASIS.validate_python(row.basis)
+            found = Solved(row.rig, basis, row.document, row.calibrations, row.stage_map, row.poses)
             return StoredSolution(row.id, row.created_at, row.solved_by, found)
 
     def newest(self, rig: str | None = None, limit: int | None = None) -> list[ListedSolution]:
@@ -96,29 +85,17 @@ class Solutions(Repository):
         if rig is not None:
             query = query.where(_COLUMN.rig == rig)
         with self._database.reading() as session:
-            return [
-                ListedSolution(*row[:4], _basis(row.basis), *row[5:])
-                for row in session.connection().execute(query)
-            ]
+            return [_listed(row) for row in session.connection().execute(query)]
 
 
-def _as_document(basis: Basis) -> Document:
-    return {
-        "runs": list(basis.runs),
-        "units": list(basis.units),
-        "linear": basis.linear,
-        "periods_deg": list(basis.periods_deg),
-        "seat_std_deg": basis.seat_std_deg,
-        "frame": basis.frame,
-    }
-
-
-def _basis(document: Document) -> Basis:
-    return Basis(
-        tuple(document["runs"]),
-        tuple(document["units"]),
-        document["linear"],
-        tuple(document["periods_deg"]),
-        document["seat_std_deg"],
-        document.get("frame", "sensor"),
+def _listed(row: Sequence[Any]) -> ListedSolution:
+    *known_by, basis, separable, before_rms_deg, final_rms_deg = row
+    return ListedSolution.model_validate(
+        {
+            **dict(zip(("id", "created_at", "by", "rig"), known_by, strict=True)),
+            **asdict(_BASIS.validate_python(basis)),
+            "separable": separable,
+            "before": {"held_out_rms_deg": before_rms_deg},
+            "final": {"held_out_rms_deg": final_rms_deg},
+        }
     )

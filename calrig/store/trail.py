@@ -66,20 +66,9 @@ class Entry:
 def append(session: Session, act: Act, now: datetime | None = None) -> TrailTable:
     """Adds an act, in the transaction of what was done: neither is ever stored without the other."""
     last = session.exec(select(TrailTable).order_by(col(TrailTable.seq).desc()).limit(1)).first()
-    row = TrailTable(
-        seq=1 if last is None else last.seq + 1,
-        at=now or datetime.now(UTC),
-        who=act.who,
-        what=act.what,
-        unit=act.unit,
-        rig=act.rig,
-        run_id=act.run_id,
-        revision=act.revision,
-        reason=act.reason,
-        detail=act.detail,
-        sha256="",
-    )
-    said = [getattr(row, column.key) for column in _SAID]
+    seq = 1 if last is None else last.seq + 1
+    row = TrailTable(seq=seq, at=now or datetime.now(UTC), **asdict(act), sha256="")
+    said = [getattr(row, name) for name in _SAID]
     row.sha256 = chained(FIRST if last is None else last.sha256, said)
     session.add(row)
     session.flush()
@@ -165,7 +154,8 @@ class Trail(Repository):
         before them cannot be cut off unseen.
         """
         before, expected = FIRST, 1
-        columns = sqlalchemy.select(*_SAID, col(TrailTable.sha256)).order_by(col(TrailTable.seq))
+        columns = sqlalchemy.select(*(getattr(TrailTable, name) for name in (*_SAID, "sha256")))
+        columns = columns.order_by(col(TrailTable.seq))
         wanted = select(CertificateTable.number, CertificateTable.trail_seq, CertificateTable.trail_sha256)
         with self._database.reading() as session:
             issued = session.exec(wanted).all()
@@ -182,18 +172,7 @@ class Trail(Repository):
         return expected if heads or numbers else None
 
 
-_SAID: tuple[Any, ...] = (
-    TrailTable.seq,
-    TrailTable.at,
-    TrailTable.who,
-    TrailTable.what,
-    TrailTable.unit,
-    TrailTable.rig,
-    TrailTable.run_id,
-    TrailTable.revision,
-    TrailTable.reason,
-    TrailTable.detail,
-)
+_SAID = ("seq", "at", "who", "what", "unit", "rig", "run_id", "revision", "reason", "detail")
 """What an entry says, in the order that it is hashed in."""
 
 
@@ -216,20 +195,11 @@ def entry_document(entry: Entry) -> Document:
 
 def is_chained(before: str, document: Document) -> bool:
     """Whether an entry's document is what was written after the entry of that hash."""
-    said = [document[column.key] for column in _SAID]
+    said = [document[name] for name in _SAID]
     said[1] = datetime.fromisoformat(document["at"])
     return bool(chained(before, said) == document["sha256"])
 
 
 def _entry(row: TrailTable) -> Entry:
-    act = Act(
-        what=row.what,  # type: ignore[arg-type]
-        who=row.who,
-        unit=row.unit,
-        rig=row.rig,
-        run_id=row.run_id,
-        revision=row.revision,
-        reason=row.reason,
-        detail=row.detail,
-    )
+    act = Act(**{name: getattr(row, name) for name in _SAID[2:]})
     return Entry(row.seq, row.at, act, row.sha256)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
 from datetime import UTC, date, datetime
-from typing import Any
+from typing import Any, Literal
 
 import sqlalchemy
 from sqlmodel import Session, col, delete, func, select
 
+from calrig.model.base import Model
 from calrig.store.checksums import check_numbers
 from calrig.store.convert import FIGURES, result_part
 from calrig.store.database import Repository
@@ -158,15 +158,16 @@ def _compared(row: Sequence[Any]) -> ComparisonRow:
     return ComparisonRow(unit, run_id, rig, finished_at, result_part(figures))
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationItem:
-    """A unit as it was handed in; None where nobody has said.
+ItemField = Literal[
+    "customer", "address", "order", "received_at", "condition", "description", "interval_agreed_months"
+]
 
-    Attributes:
-        order: the customer's number.
-        condition: in which it came, as seen at receipt.
-        interval_agreed_months: until the next calibration, where the customer agreed to one.
-        supplied: names of these fields that the customer supplied.
+
+class CalibrationItem(Model):
+    """A unit as it was handed in; null where nobody has said.
+
+    `order` is the customer's number, `condition` as seen at receipt. `interval_agreed_months` is until the
+    next calibration, where the customer agreed to one; `supplied` names the fields the customer supplied.
     """
 
     customer: str | None = None
@@ -176,20 +177,7 @@ class CalibrationItem:
     condition: str | None = None
     description: str | None = None
     interval_agreed_months: int | None = None
-    supplied: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        received = None if self.received_at is None else self.received_at.isoformat()
-        return {**asdict(self), "received_at": received, "supplied": list(self.supplied)}
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> CalibrationItem:
-        """What `to_dict` gave."""
-        known = {one.name: document[one.name] for one in fields(cls)}
-        received = known["received_at"]
-        known["received_at"] = None if received is None else date.fromisoformat(received)
-        return cls(**{**known, "supplied": tuple(known["supplied"])})
+    supplied: tuple[ItemField, ...] = ()
 
 
 class Items(Repository):
@@ -199,7 +187,7 @@ class Items(Repository):
         """What was said of a unit last; with a day, of those received by then. None where nobody did."""
         wanted = select(ItemTable).where(ItemTable.unit == unit).order_by(col(ItemTable.id).desc())
         with self._database.reading() as session:
-            said = (CalibrationItem.from_dict(row.document) for row in session.exec(wanted))
+            said = (CalibrationItem.model_validate(row.document) for row in session.exec(wanted))
             return next((one for one in said if not _came_after(one, day)), None)
 
     def add(self, unit: str, item: CalibrationItem, *, who: str | None) -> None:
@@ -211,8 +199,9 @@ class Items(Repository):
         with self._database.writing() as session:
             if session.get(UnitTable, unit) is None:
                 raise NotFound(f"there is no unit {unit!r}: a unit appears with its first run")
-            session.add(ItemTable(unit=unit, document=item.to_dict(), at=datetime.now(UTC)))
-            append(session, Act("item_changed", who=who, unit=unit, detail=item.to_dict()))
+            said = item.model_dump(mode="json")
+            session.add(ItemTable(unit=unit, document=said, at=datetime.now(UTC)))
+            append(session, Act("item_changed", who=who, unit=unit, detail=said))
 
 
 def _came_after(item: CalibrationItem, day: date | None) -> bool:
