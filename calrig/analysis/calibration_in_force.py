@@ -224,12 +224,8 @@ def active_calibration(
 
     The errors of the rig that it is made on are taken out beside: they are the stage's, not the unit's.
 
-    Args:
-        store: where it is.
-        unit: serial number.
-        rig: that the verification is made on.
-        number: of the revision; None for the one in force.
-        is_tested: whether fresh poses are to be tested, which needs the poses behind the revision.
+    The verification is made on `rig`; without `number` it is the revision in force. `is_tested` tells whether
+    fresh poses are to be tested, which needs the poses behind the revision.
 
     Raises:
         Conflict: the unit has none such.
@@ -355,10 +351,7 @@ def left_of_poses_deg(store: Store, run: Run, poses: Sequence[Pose]) -> list[flo
     Of a verification, by the revision that it applied, effects taken out; of any other run, by its bias and
     scale, with the effects that its result has. None throughout before there is a result.
 
-    Args:
-        store: where they are.
-        run: it.
-        poses: of the run; of one with effects, all of them, because some effects depend on the pose before.
+    `poses` are of the run; of one with effects, all, because some effects depend on the pose before.
     """
     number = run.provenance.get("verifies_revision")
     if number is None or store.revisions.get(run.unit, number) is None:

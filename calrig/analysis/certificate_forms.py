@@ -27,11 +27,7 @@ class Forms:
 def forms_of(said: Certificate, document: bytes, laboratory: LaboratorySettings, *, printed: bool) -> Forms:
     """Make a certificate's forms.
 
-    Args:
-        said: its content.
-        document: of the revision, as it was issued.
-        laboratory: who issues it.
-        printed: whether the PDF is wanted, too.
+    `document` is of the revision, as it was issued; `printed` tells whether the PDF is wanted, too.
 
     Raises:
         RendererMissingError, SignerMissingError: what makes the PDF, or signs, is not installed.

@@ -193,14 +193,8 @@ def issue_certificate(
 ) -> IssuedCertificate:
     """Issue the certificate of a revision: its bytes and its entry in the trail are kept for ever.
 
-    Args:
-        store: where the revision is.
-        revision: not a draft.
-        laboratory: who issues it; its settings are kept beside.
-        by: who issues it; None where nobody is known by name.
-        replaces: number of the certificate that it corrects.
-        reason: why that is corrected.
-        carried_out: makes the documents.
+    `revision` is no draft. The laboratory's settings are kept beside; `by` is None where nobody is known by
+    name. It corrects the certificate `replaces` for that `reason`; `carried_out` makes the documents.
 
     Raises:
         Invalid: it replaces one and no reason is given.

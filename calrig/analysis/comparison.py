@@ -37,10 +37,7 @@ MOST_NAMED = 5
 def compared_runs(store: Store, serials: Sequence[str] | None, found: Histories) -> dict[str, list[Row]]:
     """The calibrations of each unit that count, the oldest first.
 
-    Args:
-        store: where they are.
-        serials: units in the order wanted; None for all.
-        found: all histories.
+    `serials` are units in the order wanted, None for all; `found` are all histories.
 
     Raises:
         Unknown: there is no such unit.
@@ -127,10 +124,8 @@ def comparison(
 def comparison_json(serials: Sequence[str] | None, interval_days: float, store: Store) -> bytes:
     """Return the comparison of units as JSON, made from the store.
 
-    Args:
-        serials: of the units in the order wanted; None for all.
-        interval_days: after which a unit is due, unless its drift says otherwise.
-        store: where they are.
+    `serials` are in the order wanted, None for all; a unit is due after `interval_days`, unless its drift
+    says otherwise.
 
     Raises:
         Unknown: there is no such unit.

@@ -19,11 +19,8 @@ def compared_figure(
 ) -> figures.Figure:
     """Return a picture of units.
 
-    Args:
-        name: which.
-        serials: of the units in the order wanted; None for all.
-        chosen: units that are not dimmed; without any, those that changed.
-        store: where they are.
+    `serials` are in the order wanted, None for all; units that are not dimmed are `chosen`, without any those
+    that changed.
 
     Raises:
         Unknown: there is no such unit.

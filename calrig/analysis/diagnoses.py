@@ -42,10 +42,8 @@ class Diagnoses:
     ) -> Callable[..., dict[str, Any]]:
         """What a run's poses, with more runs of its unit and those it follows on, are to be asked.
 
-        Args:
-            run_id: the run.
-            more: runs of its unit.
-            request: what to assume; None for what its last diagnosis assumed, else what its rig said then.
+        `more` are runs of its unit. `request` is what to assume; None for what its last diagnosis assumed,
+        else what its rig said then.
 
         Returns:
             What gives the diagnosis, here or in another process, or raises DiagnosisError; its `progress` as

@@ -67,9 +67,7 @@ def poses_by_mounting(store: Store, basis: Basis) -> list[MountedPoses]:
 def solved_map(lots: Sequence[MountedPoses], basis: Basis) -> ErrorMap:
     """The map of these poses; takes some seconds.
 
-    Args:
-        lots: poses of each clamping.
-        basis: what they are of.
+    `lots` are the poses of each clamping, `basis` is what they are of.
     """
     # a tenth of a second that a service need not start with
     from calrig.calibration.separation import advised, solve

@@ -117,9 +117,7 @@ POOLED = 5_000
 def histories(store: Store, serials: Sequence[str] | None = None) -> Histories:
     """Return the histories of units; a change is tested against how all units repeat.
 
-    Args:
-        store: where they are.
-        serials: those of interest, told whole beside the `POOLED` latest runs of all; None for all of all.
+    `serials` are of interest, told whole beside the `POOLED` latest runs of all; None for all of all.
     """
     rows = store.units.comparison(serials, latest=POOLED)
     units, day, figures = _arrays(store, rows)

@@ -102,12 +102,8 @@ def doubts_about(
 ) -> list[Doubt]:
     """Return why a run's calibration may not be released by itself.
 
-    Args:
-        store: has the unit's revisions and the runs of all units.
-        new: the run.
-        result: CONTRACT section 2's.
-        content: what its revision would say, CONTRACT section 6.
-        remount_limit_deg: of its rig.
+    `store` has the unit's revisions and the runs of all units. `result` is CONTRACT section 2's, `content`
+    what its revision would say, CONTRACT section 6; `remount_limit_deg` is of its rig.
     """
     known = known_calibration(store, new.unit)
     own = [*pose_doubts(result, new.mismatches), *reading_doubts(content)]
@@ -144,8 +140,7 @@ def solution_doubts(store: Store, runs: Sequence[Run], content: Document) -> lis
 def reading_doubts(content: Document) -> list[Doubt]:
     """Return whether readings of the calibrated range stand for two elevations.
 
-    Args:
-        content: CONTRACT section 6.
+    `content` is of CONTRACT section 6.
     """
     turns = ReadingTurns.of_document(content)
     if turns.single_deg is None:

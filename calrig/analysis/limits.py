@@ -36,11 +36,8 @@ def replace(
 ) -> list[Limit]:
     """Replace all limits.
 
-    Args:
-        store: where they are kept.
-        given: the new ones, in the order that they are tried in.
-        who: user who changes them; None if unknown.
-        kept_in: the file that gives the limits; None where it does not.
+    `given` are in the order that they are tried in; `who` is None if unknown; `kept_in` is the file that
+    gives the limits, None where it does not.
 
     Raises:
         Conflict: they are kept in a file.
@@ -62,12 +59,8 @@ def cannot_pass_on(
 ) -> list[str]:
     """Return why no unit can pass its limits on a rig by a plan; empty if one can.
 
-    Args:
-        rig: of the run to come.
-        unit: its serial number.
-        plan: what it is to measure.
-        store: has limits, and the map that was put in force.
-        maps: that files give, as far as they are in this program's hands.
+    `store` has limits, and the map that was put in force; `maps` are those that files give, as far as they
+    are in this program's hands.
     """
     limit = limit_for(store.limits.all(), unit, rig.name)
     if limit is None or plan.kind == "static":

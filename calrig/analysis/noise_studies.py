@@ -173,10 +173,7 @@ def noise_of_unit(
 ) -> tuple[Document, Run]:
     """CONTRACT section 7's document of the unit's latest static log, and the run that kept it.
 
-    Args:
-        store: where it is.
-        unit: serial number.
-        carried_out: calls a function, in another process where this one has others to serve.
+    `carried_out` calls a function, in another process where this one has others to serve.
 
     Raises:
         Unknown: the unit is not known.

@@ -13,9 +13,8 @@ T = TypeVar("T")
 def with_store(url: str, work: Callable[[Store], T]) -> T:
     """Return what the work gives for a store, opened for reading and closed again.
 
-    Args:
-        url: of the store, as `Store.open` takes it.
-        work: of a module, or a `partial` of one, so that another process can be given it.
+    `url` is as `Store.open` takes it; `work` is of a module, or a `partial` of one, so that another process
+    can be given it.
 
     Raises:
         StoreError: as of `Store.open`.

@@ -78,10 +78,8 @@ def rest_on_map(poses: Sequence[Pose]) -> bool:
 def reference_over(poses: Sequence[Pose], provenance: Document, *, bent: bool) -> Reference | None:
     """What a run's elevations rest on: the stage's map, else its certificate; None where there is neither.
 
-    Args:
-        poses: of the run that count, as the store gives them: with the map or, beyond it, without.
-        provenance: of the run.
-        bent: whether effects are taken out beside bias and scale.
+    `poses` are those of the run that count, as the store gives them: with the map or, beyond it, without.
+    `bent` tells whether effects are taken out beside bias and scale.
     """
     certificate, in_force = reference_of(provenance), map_of(provenance)
     if in_force is None or not rest_on_map(poses):

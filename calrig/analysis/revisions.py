@@ -132,12 +132,8 @@ class Issuer:
     ) -> Revision:
         """Makes a draft of a run, released at once where its rig's `release` says so.
 
-        Args:
-            unit: whose revision it becomes.
-            run_id: a completed calibration of that unit.
-            effects: names of accepted effects of the unit that enter; None for all.
-            by: who asks.
-            reason: why.
+        `run_id` is of a completed calibration of that unit; `effects` are names of its accepted effects that
+        enter, None for all.
 
         Raises:
             Unknown: there is no such run.

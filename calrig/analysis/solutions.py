@@ -146,9 +146,7 @@ def question(store: Store, wanted: SolutionRequest) -> SolutionInputs:
 def answer(asked: SolutionInputs, progress: Callable[[float], None] = lambda _: None) -> Solved:
     """The solution as it is kept.
 
-    Args:
-        asked: what is to be solved.
-        progress: is told the share that is done.
+    `progress` is told the share that is done.
 
     Raises:
         DiagnosisError: the poses cannot be solved, and why.

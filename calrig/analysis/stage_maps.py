@@ -33,10 +33,7 @@ def holds(store: Store, rig: str, kept: Document) -> Document:
     A run of the check unit tells where the rig has one; else the newest of any unit that was on the rig when
     the map was made, or since. The newest such run is compared with the earliest.
 
-    Args:
-        store: has the runs.
-        rig: by name.
-        kept: what runs keep of the map in force.
+    `kept` is what runs keep of the map in force.
     """
     stage_map, named = StageMap.from_frozen(kept), store.check_standards.of(rig)
     runs, _ = store.runs.page(rig=rig, status="completed", limit=LOOKS_BACK)
@@ -141,10 +138,7 @@ def _refuse(name: str) -> Any:
 def kept_of(store: Store, rig: str, configured: Mapping[str, Document]) -> Document | None:
     """What a run that begins now on a rig keeps of the map in force; None where there is none.
 
-    Args:
-        store: has what was put in force.
-        rig: by name.
-        configured: of `configured_maps`.
+    `configured` is as of `configured_maps`.
     """
     found = store.stage_maps.of(rig)
     return configured.get(rig) if found is None else _kept(store, found)

@@ -100,11 +100,8 @@ def request_of(
 ) -> DiagnosisRequest:
     """What a diagnosis of a run assumes: as asked, else as its import stated, else as its rig says.
 
-    Args:
-        run: the run.
-        rig: its rig as it is configured; None where it is not known here, and what it was counts.
-        reference: as asked; None where nothing was.
-        periods_deg: as asked, beside the rig's own.
+    `rig` is as configured; None where it is not known here, and what it was counts. `reference` and
+    `periods_deg` are as asked, the periods beside the rig's own.
 
     Raises:
         DiagnosisError: a period is out of its limits.
@@ -191,10 +188,6 @@ class AmbiguousRuns:
 
 def unresolved(store: Store, run_id: str) -> AmbiguousRuns:
     """A run with those it follows on, diagnosed quickly.
-
-    Args:
-        store: has them.
-        run_id: the run.
 
     Raises:
         Unknown: there is no such run.

@@ -84,11 +84,7 @@ def listed_units(
 ) -> list[ListedUnit]:
     """Return units by serial number, from a fixed number of queries.
 
-    Args:
-        store: where they are.
-        found: the histories of all units, or those of `serials` whole.
-        due: their due dates.
-        serials: the units wanted; None for all.
+    `found` are the histories of all units, or those of `serials` whole; None for all.
     """
     units = store.units.all(serials)
     in_force = store.revisions.summaries_in_force(serials)

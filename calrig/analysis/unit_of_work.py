@@ -69,9 +69,7 @@ def in_one_transaction(store: Store, change: Callable[[Fits], T]) -> T:
     A change that needs a fit is rolled back, and repeated once the fit is computed. It then reads everything
     again, so that it uses the fit only if the data are still those of the fit.
 
-    Args:
-        store: what is changed.
-        change: reads and writes the store; takes `Fits` for what takes seconds.
+    `change` reads and writes the store; it takes `Fits` for what takes seconds.
 
     Raises:
         Conflict: the data changed during each of `MOST_FITS` fits.

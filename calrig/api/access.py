@@ -146,8 +146,7 @@ ANYBODY = Caller(None, "admin")
 class People:
     """The users, in memory: a stop never waits for the store to say who it is that asks for it.
 
-    Args:
-        users: reads them; only this service changes them, for a store has one writer.
+    `users` reads them; only this service changes them, for a store has one writer.
     """
 
     def __init__(self, users: Callable[[], Iterable[User]]) -> None:
@@ -274,8 +273,7 @@ FORGOTTEN_S = 60.0
 class Attempts:
     """Wrong attempts of the last minute, by address.
 
-    Args:
-        clock: tells the time, s.
+    `clock` tells the time, s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

@@ -52,8 +52,7 @@ class Sessions:
     token. Of one token's, the oldest gives way to one too many, so that logins of one user end nobody else's;
     the total is bounded as well. All end with the service.
 
-    Args:
-        clock: seconds that only go forward.
+    `clock` tells seconds that only go forward.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -141,9 +140,7 @@ class Authentication:
     token is answered late, and while a few wrong ones wait, the next are answered 429 at once. That slows
     nobody who guesses with many connections; the length of the token does (`calrig.api.access`).
 
-    Args:
-        access: the service's one token, and the proxies that are trusted.
-        users: reads who is known by name.
+    `access` has the service's one token and the trusted proxies; `users` reads who is known by name.
     """
 
     def __init__(self, access: Access, users: Callable[[], Iterable[User]] = tuple) -> None:
@@ -167,9 +164,7 @@ class Authentication:
         Every request must authenticate, since a proxy mixes those of many clients; until it has been checked,
         the trust level of the request before applies.
 
-        Args:
-            asked: the request.
-            is_open: whether who shows nothing, or something wrong, gets what it asks for all the same.
+        With `is_open`, who shows nothing, or something wrong, gets what it asks for all the same.
 
         Raises:
             HTTPException: 401, nothing that is known was shown; 403, a proxy named somebody who is not known;

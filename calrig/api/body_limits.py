@@ -160,8 +160,7 @@ def name_of(file: UploadFile) -> str:
 async def on_disk(write: Callable[[IO[bytes]], object]) -> AsyncIterator[Path]:
     """Provide a temporary file that another process can read, for the duration of the block.
 
-    Args:
-        write: fills the file, in a thread.
+    `write` fills the file, in a thread.
 
     Raises:
         HTTPException: the disk is full.

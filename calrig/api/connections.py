@@ -69,10 +69,7 @@ class Connections:
 class Connection(Place, asyncio.Protocol):
     """Limit how long and how much one client can hold; what comes and goes passes through to uvicorn.
 
-    Args:
-        config: of a server whose application is a `Connections`.
-        app_state: state that each request gets.
-        **others: what uvicorn's protocol takes besides.
+    `config` is of a server whose application is a `Connections`; each request gets `app_state`.
     """
 
     _transport: asyncio.Transport

@@ -30,9 +30,8 @@ log = logging.getLogger(__name__)
 def in_process(service: Service, parts: tuple[ModuleType, ...]) -> Iterator[httpx.BaseTransport]:
     """Yield a transport that passes a client's requests, as an admin's, to the API over a service.
 
-    Args:
-        service: carries out what is asked; it is not closed here.
-        parts: modules of `calrig.api` with the routes that are asked for: all of them take a second to load.
+    `service` is not closed here. `parts` are modules of `calrig.api` with the routes that are asked for: all
+    of them take a second to load.
     """
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     context = app.state.context = ApiContext(service, service.store)

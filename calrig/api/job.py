@@ -140,9 +140,7 @@ class Jobs:
     def add(self, job: Job, what: str) -> None:
         """Takes a job whose answer nobody waits for.
 
-        Args:
-            job: under way, or ended when its answer was due.
-            what: was asked, for the log.
+        `job` is under way, or ended when its answer was due; `what` was asked is for the log.
         """
         self._jobs[job.id] = job
         job.ended = partial(self._ended, job, what)

@@ -110,10 +110,8 @@ def knows(access: Access, host: str, server: str | None) -> bool:
     rebinding ends at this check. Ports are not looked at: no name becomes somebody else's by its port, and
     `ssh -L` changes them.
 
-    Args:
-        access: the names the service has.
-        host: the header, `name`, `name:port` or `[address]:port`.
-        server: the address at which the connection came in; None where it has none.
+    `host` is the header, `name`, `name:port` or `[address]:port`; `server` is the address at which the
+    connection came in, None where it has none.
     """
     form = _HOST_FORM.fullmatch(host)
     if form is None:

@@ -53,9 +53,7 @@ class _PageFiles(StaticFiles):
 def install(app: FastAPI, web: Path) -> None:
     """Serves `/` and `/web/…`.
 
-    Args:
-        app: where to add the paths; the API's own must be there already.
-        web: the folder of the page, with `index.html`.
+    The API's own paths must be there already; `web` is the folder of the page, with `index.html`.
     """
     router = APIRouter(include_in_schema=False)
     files = _PageFiles(web)

@@ -37,9 +37,7 @@ class ReadCoalescer:
     async def share(self, key: Hashable, look: Callable[[], T]) -> T:
         """Return the result of a read that begins after this call, in a thread.
 
-        Args:
-            key: equal for reads with equal results.
-            look: reads the store.
+        `key` is equal for reads with equal results.
         """
         if key not in self._waiting:
             self._waiting[key] = asyncio.create_task(self._gather(key, look))
@@ -68,9 +66,6 @@ class ReadCache:
     """Cache recent store reads by key for a short time, with at most one read per key in progress.
 
     Use in the event loop only.
-
-    Args:
-        now_s: monotonic clock, s.
     """
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -80,10 +75,8 @@ class ReadCache:
     async def share(self, key: Hashable, look: Callable[[], T], for_s: float) -> T:
         """Return the result of a recent read.
 
-        Args:
-            key: equal for reads with equal results.
-            look: reads the store, in a thread.
-            for_s: maximum age of the result; longer if the read takes more than `SHARE` of it.
+        `key` is equal for reads with equal results; `for_s` is the maximum age of the result, longer if the
+        read takes more than `SHARE` of it.
         """
         kept = self._kept.get(key)
         if kept is None or (kept.task.done() and self._now_s() >= kept.until_s):
@@ -107,8 +100,7 @@ AT_ONCE = re.compile(r"/api/(health|rigs/[^/]+/stop|runs/[^/]+/abort)")
 class FairScheduler:
     """Limit how many waiters proceed per event-loop iteration, in their order. Use in one event loop.
 
-    Args:
-        in_a_round: waiters per iteration.
+    `in_a_round` are waiters per iteration.
     """
 
     def __init__(self, in_a_round: int = 1) -> None:

@@ -73,8 +73,7 @@ PATIENCE_S = 30.0
 def _workers(scheduler: str | None) -> Iterator[Workers]:
     """Those of a scheduler; without one processes of calrig's own, which hold less memory than Dask's.
 
-    Args:
-        scheduler: its address, such as `tcp://10.0.0.7:8786`.
+    `scheduler` is its address, such as `tcp://10.0.0.7:8786`.
 
     Raises:
         WorkError: the scheduler does not answer or has no worker, or is named and Dask is not installed.

@@ -340,9 +340,7 @@ def _standing(bench: Membership) -> str:
 def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
     """Print a diagnosis: verdict, each effect with parameters and evidence, the errors before and after.
 
-    Args:
-        found: the diagnosis.
-        of_files: whether its poses are files, of which no service can take a follow-up run.
+    `of_files` tells whether its poses are files, of which no service can take a follow-up run.
     """
     from calrig.calibration.effects import EFFECTS
 

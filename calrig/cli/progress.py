@@ -261,10 +261,8 @@ def follow(
 def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> None:
     """Follows a run on the terminal, asks for what it waits for, and prints how it ended.
 
-    Args:
-        begin: starts it; a Ctrl-C during the start aborts the run once it has started.
-        unit: its serial number.
-        as_json: whether its document is printed.
+    `begin` starts it; a Ctrl-C during the start aborts the run once it has started. With `as_json` its
+    document is printed.
 
     Raises:
         WorkError: it was not completed.

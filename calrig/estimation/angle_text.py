@@ -13,10 +13,7 @@ LEAST_DEG = 1e-9
 def angle_text(value_deg: float, digits: int = 3, std_deg: float | None = None) -> str:
     """Return an angle in words, with the digits that show it: `0.0301°`, `0.000201° (0.724″)`.
 
-    Args:
-        value_deg: degrees.
-        digits: significant ones.
-        std_deg: its standard error, which then decides the digits of both.
+    `digits` are significant ones; `std_deg`, its standard error, then decides the digits of both.
     """
     in_degrees = _significant(value_deg, std_deg, digits, "°")
     if value_deg == 0.0 or not LEAST_DEG <= abs(value_deg) < SMALL_DEG:

@@ -39,8 +39,7 @@ def along_axis(vectors: FloatArray, axis: str) -> FloatArray:
 def elevation_deg(accel_g: FloatArray) -> FloatArray:
     """Return elevation about the sensor's x axis, atan2(accel_y, accel_z); 0° is z up (CONTRACT section 4).
 
-    Args:
-        accel_g: (n, 3) specific force along x, y, z; any one unit will do.
+    `accel_g` (n, 3) is specific force along x, y, z; any one unit will do.
 
     Returns:
         (n,) degrees in [−180, 180].
@@ -55,7 +54,6 @@ MAD_TO_STD = 1.4826
 def robust_std(values: FloatArray) -> float:
     """Return the standard deviation by the median absolute deviation, in the values' unit.
 
-    Args:
-        values: (n,), n >= 1.
+    `values` are (n,), n >= 1.
     """
     return MAD_TO_STD * float(np.median(np.abs(values - np.median(values))))

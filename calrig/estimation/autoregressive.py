@@ -45,8 +45,7 @@ def fit_autoregression(x: FloatArray) -> AutoregressiveSpectrum:
     line takes two of them, by n_eff/(n_eff − 2), n_eff = n·(variance/long-run variance) being the number of
     independent samples.
 
-    Args:
-        x: (n,) evenly spaced samples, n >= `MIN_SAMPLES`.
+    `x` (n,) are evenly spaced samples, n >= `MIN_SAMPLES`.
     """
     n = len(x)
     if n < MIN_SAMPLES:

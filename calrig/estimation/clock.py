@@ -29,9 +29,8 @@ def clock_rate(clock_s: Sequence[FloatArray], reference_s: Sequence[FloatArray])
 
     Events that are told late scatter about the line, and the standard error is made of that scatter.
 
-    Args:
-        clock_s: of each run (n,) times by the clock that is judged.
-        reference_s: the same events by the other.
+    `clock_s` are of each run (n,) times by the clock that is judged, `reference_s` the same events by the
+    other.
 
     Returns:
         None where the runs are too short or the clocks are not of one time.

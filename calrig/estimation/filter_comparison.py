@@ -36,10 +36,7 @@ def moving_average(
     An even window has no middle sample. Centred, it spans window + 1 samples, the outer two with half weight,
     and so neither leads nor lags.
 
-    Args:
-        x: (n,) evenly spaced samples.
-        window: how many samples.
-        centred: around each sample instead of up to it.
+    `x` (n,) are evenly spaced; with `centred` the window is around each sample instead of up to it.
 
     Returns:
         (n,) with NaN where the window is not full.

@@ -49,8 +49,7 @@ class SteadyStateGain:
     def response(self, omega: FloatArray) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
         """Frequency responses elevation → filtered angle (1) and rate → filtered angle (s).
 
-        Args:
-            omega: (m,) radians per sample, not 0.
+        `omega` (m,) is in radians per sample, not 0.
         """
         q = np.exp(-1j * omega)
         one, a1, a2 = self.denominator
@@ -142,11 +141,8 @@ def filter_uniform(
     The recursion runs until its covariance has converged to machine precision, from there on a linear
     filter. Where the elevation jumps half a turn away from the filter, the recursion does it all.
 
-    Args:
-        elevation_deg: (n,) elevation of the accelerometer.
-        rate_dps: (n,) angular rate about the axis of elevation.
-        dt_s: the interval.
-        noise: what the filter assumes.
+    `elevation_deg` (n,) is of the accelerometer, `rate_dps` (n,) about its axis; `noise` is what the filter
+    assumes.
 
     Returns:
         (n,) filtered angle, continuous.

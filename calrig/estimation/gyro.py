@@ -51,8 +51,7 @@ def dwell_bias(gyro_dps: FloatArray) -> GyroBias:
     blocks and is left out: a slip of 0.05° within 2 s would be taken for a bias of 0.025°/s. The standard
     error allows for the samples' correlation: √(long-run variance/n).
 
-    Args:
-        gyro_dps: (n, 3) rates about x, y, z; NaN for an axis that the board does not send.
+    `gyro_dps` (n, 3) are rates about x, y, z; NaN for an axis that the board does not send.
     """
     still_dps = [_without_outliers(axis) for axis in gyro_dps.T]
     means = [float(np.mean(axis)) if len(axis) else math.nan for axis in still_dps]

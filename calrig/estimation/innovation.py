@@ -95,11 +95,8 @@ def innovation_check(
 ) -> InnovationCheck:
     """Run the filter over a static interval and test its innovations, per sample and over 100 ms.
 
-    Args:
-        elevation_deg: (n,) elevation of the accelerometer while nothing turns, evenly sampled.
-        rate_dps: (n,) rate, as the filter is driven by it.
-        dt_s: the interval.
-        noise: what the filter assumes.
+    `elevation_deg` (n,) is of the accelerometer while nothing turns, evenly sampled; `rate_dps` (n,) is as
+    the filter is driven by it, which assumes `noise`.
 
     Raises:
         ValueError: as `filter_uniform`.

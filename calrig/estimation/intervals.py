@@ -43,8 +43,7 @@ class Intervals:
 def segments_of(time_s: FloatArray) -> list[slice]:
     """Return the longest runs of samples without a gap, in order.
 
-    Args:
-        time_s: (n,) strictly increasing.
+    `time_s` (n,) strictly increases.
     """
     if len(time_s) == 0:
         return []

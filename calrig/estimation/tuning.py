@@ -84,8 +84,7 @@ def midpoint_rate_dps(rate_dps: FloatArray) -> FloatArray:
     turns: 2.5 ms at 200 Hz, 0.05° at 20 °/s. The paper's constants pull that back within half a second; a
     filter tuned to a quiet gyro keeps it. Firmware remembers one rate: (rate + rate_before)/2.
 
-    Args:
-        rate_dps: (n,) rates at the samples.
+    `rate_dps` (n,) are at the samples.
     """
     midpoint = np.array(rate_dps, dtype=np.float64)
     midpoint[1:] += rate_dps[:-1]

@@ -88,8 +88,7 @@ def clock_line(seen_s: FloatArray) -> ClockLine:
     Skelly & Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999).
     What was held up on its way, or waited in a block, moves it nowhere.
 
-    Args:
-        seen_s: (k, 2) the host's clock, and the board's at the last sample seen by then.
+    `seen_s` (k, 2) are the host's clock, and the board's at the last sample seen by then.
     """
     from scipy.optimize import linprog
 

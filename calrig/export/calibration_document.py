@@ -34,9 +34,8 @@ _NEEDED = ("unit", "range_deg", "bias_deg", "scale", "effects")
 def read_document(source: str | Path) -> dict[str, Any]:
     """A document of CONTRACT section 6.
 
-    Args:
-        source: a file, or an address such as `http://lab-pc:8000/api/units/AS-0042/calibration`, which is
-            asked with the token of CALRIG_TOKEN.
+    `source` is a file, or an address such as `http://lab-pc:8000/api/units/AS-0042/calibration`, which is
+    asked with the token of CALRIG_TOKEN.
 
     Raises:
         InputError: it cannot be read, is no such document, or its `sha256` is that of another.

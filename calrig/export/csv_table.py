@@ -294,11 +294,8 @@ def read_tables(
     Cells are separated by commas, or by semicolons or tabs, which allow of decimal commas (`layout_of`). All
     faults, those that a consumer adds to the layout's report as well, are raised together at the end.
 
-    Args:
-        data: the file.
-        known: names that have a meaning here.
-        required: those of them that the file must have.
-        progress: gets the share that is read, 0 to 1.
+    `known` are names that have a meaning here, `required` those of them that the file must have; `progress`
+    gets the share that is read, 0 to 1.
 
     Yields:
         The rows in the order of the file, some at a time, each time under the same header.

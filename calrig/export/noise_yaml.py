@@ -29,9 +29,7 @@ class SensorNoise:
 def sensor_noise(report: Mapping[str, Any], format_: str) -> tuple[SensorNoise, SensorNoise]:
     """The noise of accelerometer and gyro.
 
-    Args:
-        report: of a noise study (CONTRACT section 7).
-        format_: what needs it, for a refusal.
+    `report` is of a noise study (CONTRACT section 7); `format_` is what needs it, for a refusal.
 
     Raises:
         NotHeldError: it has no white noise of an axis.

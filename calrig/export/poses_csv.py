@@ -46,8 +46,7 @@ class ImportedPoses:
 class PoseColumns(Sequence[Pose]):
     """Poses as columns of eight bytes a cell, NaN where not known; each pose is made when it is asked for.
 
-    Args:
-        columns: by the contract's names or those of covariates, all of one length.
+    `columns` are by the contract's names or those of covariates, all of one length.
     """
 
     def __init__(self, columns: dict[str, array[float]]) -> None:
@@ -121,9 +120,7 @@ def read_pose_columns(data: bytes) -> tuple[PoseColumns, list[str]]:
 def read_labelled_poses(data: bytes, labels: Sequence[str]) -> tuple[list[Pose], list[Labels], list[str]]:
     """Read poses as `read_poses`, with columns of text in addition.
 
-    Args:
-        data: the file.
-        labels: columns to be taken for text.
+    `labels` are columns to be taken for text.
 
     Returns:
         The poses in the order measured, of each its texts by column (of columns that the file has, and cells
@@ -190,9 +187,8 @@ def write_pose_batches(
 ) -> Iterator[str]:
     """The same, piece by piece, the header first.
 
-    Args:
-        batches: the poses, some at a time; asked twice, since the header tells what all of them know.
-        labels: the texts of a pose by column, the same columns of each.
+    `batches` are poses, some at a time; asked twice, since the header tells what all of them know. `labels`
+    are the texts of a pose by column, the same columns of each.
     """
     names, known = dict.fromkeys(COLUMNS), set(REQUIRED)
     for pose in itertools.chain.from_iterable(batches()):
@@ -300,10 +296,7 @@ def read_run(
 
     A run is of one unit, has one of its axes along the stage's, and one clamping at each angle.
 
-    Args:
-        data: the file.
-        unit: serial number of the run's unit.
-        progress: gets the share of the file that is read, 0 to 1.
+    `unit` is the serial number of the run's unit; `progress` gets the share of the file that is read, 0 to 1.
 
     Returns:
         The poses, the axis along the stage's, what is to be said, and the reference that the file states.
@@ -404,10 +397,7 @@ def _degrees(angle: float | None) -> str:
 def read_mounted(data: bytes, source: str, unit: str | None = None) -> tuple[list[MountedPoses], list[str]]:
     """The poses of a file, a lot for each clamping.
 
-    Args:
-        data: the file.
-        source: what it is called.
-        unit: serial number of its poses, where it has no column `unit`.
+    `source` is what the file is called, `unit` the serial number of its poses where it has no column `unit`.
 
     Raises:
         CsvError: the file is no table of poses, or does not say of every pose whose it is.

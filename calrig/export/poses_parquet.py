@@ -24,9 +24,7 @@ EXTRA = "pip install 'calrig[fleet]'"
 def write_poses(folder: Path, pieces: Iterable[PackedPoses]) -> list[Path]:
     """Writes poses as files `poses-00000.parquet`, … into a folder that has none yet.
 
-    Args:
-        folder: made where there is none.
-        pieces: runs, each once.
+    `folder` is made where there is none; `pieces` are runs, each once.
 
     Raises:
         InputError: there are such files already.
@@ -66,9 +64,8 @@ def parquet_files(source: Path) -> list[Path]:
 def read_file(file: Path) -> Iterator[PackedPoses]:
     """The runs of a Parquet file, some at a time, each whole.
 
-    Args:
-        file: as `write_poses` made it, or with at least `run_id`, `target_deg` and `reading_deg`, the poses
-            of a run one after the other, none of them in another file. Every numeric column is read.
+    `file` is as `write_poses` made it, or has at least `run_id`, `target_deg` and `reading_deg`, the poses of
+    a run one after the other, none of them in another file. Every numeric column is read.
 
     Raises:
         InputError: it is no such file.

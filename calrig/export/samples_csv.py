@@ -43,8 +43,7 @@ def sample_columns(samples: RawSamples) -> dict[str, FloatArray]:
 def write_samples_csv(blocks: Iterable[RawSamples]) -> Iterator[str]:
     """The samples as CSV, piece by piece; a number reads back exactly, NaN is an empty cell.
 
-    Args:
-        blocks: one after the other; the first says whether the board sends its angle.
+    `blocks` come one after the other; the first says whether the board sends its angle.
     """
     names: list[str] = []
     text = io.StringIO()

@@ -69,11 +69,8 @@ def unit_document(
     All that the unit does to a vector is in its effects, with a scale of 1; the bias is its level, where a
     reversal shows it, and 0 where none does: the sensor's axes err at their own elevation, which is bias + θ.
 
-    Args:
-        solution: of it and others.
-        unit: by index.
-        rig: that the runs were on; None of files.
-        whole: its matrices, of a unit that was clamped by several faces.
+    `unit` is by index; `rig` is that of the runs, None of files. `whole` are its matrices, of a unit that was
+    clamped by several faces.
     """
     fit, table, level = solution.fit, solution.table, solution.known_level(unit)
     known = solution.measurand(unit)
@@ -201,9 +198,7 @@ def _gyro(whole: WholeUnit | None) -> dict[str, Any]:
 def joint_files(calibrations: Mapping[str, dict[str, Any]], stage_map: dict[str, Any]) -> dict[str, str]:
     """The files' texts by their names; those of a unit's serial, with what no file is called by replaced.
 
-    Args:
-        calibrations: `unit_document` of each unit, by serial.
-        stage_map: `map_document`.
+    `calibrations` are the `unit_document` of each unit by serial, `stage_map` is `map_document`.
     """
     named = {_file_name(serial): document for serial, document in calibrations.items()}
     return {name: in_file(document) for name, document in {**named, "stage-map.json": stage_map}.items()}

@@ -242,12 +242,8 @@ def read_static(
     full scale 32768, and keep name and unit without one. A column that is none of the contract's is left
     out with a warning. A `time_s` that goes backwards or is not known throughout is kept, with its flaw.
 
-    Args:
-        data: the file's content.
-        accel_range_g: full scale of the accelerometer's counts, in g.
-        gyro_range_dps: full scale of the gyro's counts, in degrees per second.
-        max_samples: more are refused.
-        progress: gets the share of the file that has been read, from 0 to 1.
+    The ranges are full scales of raw counts, in g and in degrees per second. More than `max_samples` are
+    refused; `progress` gets the share of the file that has been read, from 0 to 1.
 
     Raises:
         CsvError: the file is not such a table; says line and column.

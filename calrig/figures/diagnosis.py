@@ -29,8 +29,7 @@ MOST_TURNS = 2
 def before_and_after(diagnosis: Mapping[str, Any]) -> Figure:
     """Error on held-out poses before and after, with the noise floor; what is not known is left out.
 
-    Args:
-        diagnosis: a document of CONTRACT section 5.
+    `diagnosis` is a document of CONTRACT section 5.
     """
     fresh = diagnosis["confirmed_by"] or {}
     bars = [
@@ -63,10 +62,8 @@ def partial_residual(found: PartialResidual, wave: Mapping[str, float] | None = 
 
     The effect is a line where it is a function of the covariate, points where it depends on more than that.
 
-    Args:
-        found: the partial residual.
-        wave: `amplitude_deg`, `phase_deg` and `period_deg` of a wave of the angle; the poses of many periods
-            are laid over each other in one.
+    `wave` has `amplitude_deg`, `phase_deg` and `period_deg` of a wave of the angle; the poses of many periods
+    are laid over each other in one.
     """
     layout = layout_of(as_text(_axis(found.covariate)), "partial residual (°)")
     layout["yaxis"]["zeroline"] = True
@@ -105,9 +102,7 @@ def _one_period(wave: Mapping[str, float]) -> dict[str, Any]:
 def diagnosis_figures(found: DrawnResiduals, effects: Sequence[Mapping[str, Any]]) -> Rows:
     """Return residuals before and after, by angle and by time, and each effect with its partial residual.
 
-    Args:
-        found: the residuals.
-        effects: those of the document, in the order of `found.effects`.
+    `effects` are those of the document, in the order of `found.effects`.
     """
     rows = [
         [

@@ -91,9 +91,7 @@ def _png(figure: Figure) -> bytes:
 def sheet_of(title: str, rows: Rows) -> Figure:
     """One figure with captioned cells, on white; a row's cells share its width.
 
-    Args:
-        title: above them all.
-        rows: from the top.
+    `title` is above them all; `rows` are from the top.
     """
     height, width = ROW_PX * len(rows), WIDTH_PX - _MARGINS["l"] - _MARGINS["r"]
     sheet: Figure = {"data": [], "layout": _page(title, height)}

@@ -38,9 +38,7 @@ def filters_figures(study: FilterStudy) -> list[list[tuple[str, Figure]]]:
 def on_a_move(comparison: FilterComparison, names: Sequence[str]) -> Figure:
     """The largest move: the accelerometer's elevation, the reference trajectory, and the filters over them.
 
-    Args:
-        comparison: with a move or more; without, the figure is empty.
-        names: filters that are drawn, where they were run.
+    Without a move in `comparison` it is empty; `names` are filters that are drawn, where they were run.
     """
     layout = layout_of("time since start of move (s)", "elevation (°)")
     if not comparison.moves:

@@ -59,10 +59,8 @@ def compare(
 ) -> Figure:
     """Bias, scale or calibrated RMS over time, one line a unit, with standard errors where there are any.
 
-    Args:
-        quantity: which of the three.
-        units: each unit's runs by its serial.
-        chosen: units with a colour of their own where not all can have one.
+    `units` are each unit's runs by its serial, `chosen` those with a colour of their own where not all can
+    have one.
     """
     key, std_key, title = _QUANTITIES[quantity]
     layout = layout_of("finished (UTC)", title)

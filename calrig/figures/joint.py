@@ -29,10 +29,8 @@ def joint_figures(document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]
 def joint_figure(name: str, document: Mapping[str, Any], poses: Mapping[str, Sequence[Any]]) -> Figure:
     """One of `CAPTIONS`.
 
-    Args:
-        name: of the picture.
-        document: CONTRACT section 8.
-        poses: columns as `calrig.calibration.separation.report` gives them.
+    `document` is of CONTRACT section 8; `poses` are columns as `calrig.calibration.separation.report` gives
+    them.
     """
     if name == "map":
         return _map(document, poses)

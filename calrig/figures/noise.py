@@ -38,8 +38,7 @@ def allan_deviation(channels: Sequence[ChannelNoise]) -> Figure:
 
     Of one channel alone, each fitted term is drawn as well.
 
-    Args:
-        channels: of one unit.
+    `channels` are of one unit.
     """
     layout = _double_log("averaging time τ (s)", f"Allan deviation ({_unit(channels)})")
     data: list[dict[str, Any]] = []
@@ -59,8 +58,7 @@ def allan_deviation(channels: Sequence[ChannelNoise]) -> Figure:
 def spectrum(channels: Sequence[ChannelNoise]) -> Figure:
     """One-sided power spectral density, thinned uniformly in log frequency, with the lines that were found.
 
-    Args:
-        channels: of one unit.
+    `channels` are of one unit.
     """
     unit = _unit(channels)
     layout = _double_log("frequency (Hz)", f"PSD (({unit})²/Hz)" if "/" in unit else f"PSD ({unit}²/Hz)")

@@ -28,9 +28,7 @@ class BundleError(ValueError):
 def partial_bundle(script: str, traces: Collection[str] = TRACES) -> str:
     """Return the script with the core and these traces alone.
 
-    Args:
-        script: plotly.min.js as plotly's wheel has it.
-        traces: names of traces, such as `bar`.
+    `script` is plotly.min.js as plotly's wheel has it; `traces` are names, such as `bar`.
 
     Raises:
         BundleError: the script has no such modules, or no such trace.

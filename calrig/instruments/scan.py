@@ -75,9 +75,8 @@ def scan(ports: Iterable[str] = (), *, ours: Iterable[str] = ()) -> list[Found]:
     only after homing anyway. A port that is in use is not touched. Of SMC100 controllers in a chain the one
     at address 1 is asked, which is the one with the plug.
 
-    Args:
-        ports: more of them, such as those configured: `socket://host:port`, `usb:SERIAL`, names.
-        ours: those that must stay free to be taken at any moment; listed as busy and not touched.
+    `ports` are more of them, such as those configured: `socket://host:port`, `usb:SERIAL`, names; `ours` must
+    stay free to be taken at any moment, are listed as busy and not touched.
 
     Returns:
         One of each port, by name.
@@ -148,9 +147,7 @@ def _look_at(name: str, info: ListPortInfo | None, devices: Sequence[AnyDevice],
 def converse(port: Port, devices: Sequence[AnyDevice]) -> tuple[Recognised | None, int, str]:
     """Who it is and at which baud rate, or what was heard instead, in words.
 
-    Args:
-        port: open at the rate of the first of `probes`.
-        devices: whom it may be.
+    `port` is open at the rate of the first of `probes`; `devices` are whom it may be.
 
     Raises:
         PortError: the port went away.
@@ -204,9 +201,7 @@ def stanza(found: Sequence[Found], taken: Container[str] = ()) -> str:
     One stage and one board are taken for a pair. Otherwise each board stands in each rig as a comment, of
     which one is to be chosen.
 
-    Args:
-        found: what `scan` gave.
-        taken: names that rigs already have.
+    `found` is what `scan` gave; `taken` are names that rigs already have.
     """
     stages = [one for one in found if one.kind == "stage"]
     boards = [_imu(one, found) for one in found if one.kind == "board"]

@@ -83,9 +83,7 @@ class AllanCurve:
 def allan_curve(log: UniformLog, name: str) -> AllanCurve:
     """Return the overlapping Allan deviation of a channel.
 
-    Args:
-        log: evenly spaced samples.
-        name: one of its channels.
+    `log` has evenly spaced samples, `name` is one of its channels.
     """
     pieces = [log.channels[name][segment] for segment in log.segments]
     pieces = [piece for piece in pieces if len(piece) >= 2]
@@ -263,10 +261,8 @@ def variance_of(tau_s: FloatArray) -> FloatArray:
 def theory_of(curve: AllanCurve, used: IntArray, *, filtered: bool = False) -> CurveTheory:
     """Return the theory of a curve's values.
 
-    Args:
-        curve: of one channel.
-        used: (J,) which of its values, τ rising.
-        filtered: whether the sensor's filter still bends white noise at the first of them; it falls as 1/m.
+    `used` (J,) is which of its values, τ rising; `filtered` tells whether the sensor's filter still bends
+    white noise at the first of them; it falls as 1/m.
     """
     tau_s, factors = curve.tau_s[used], curve.factors[used].astype(np.float64)
     variance = variance_of(tau_s)

@@ -26,10 +26,7 @@ MEAN_OVER_S = 1.0
 def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Sequence[slice]) -> float | None:
     """Return how far gravity turns in the sensor, from means of a second, about its mean direction over all.
 
-    Args:
-        channels: (N,) each, by name with its unit.
-        rate_hz: of the samples.
-        segments: without gaps.
+    `channels` (N,) are by name with its unit; `segments` are without gaps.
 
     Returns:
         The largest angle; None without three axes of an accelerometer in one unit, or without a whole second.

@@ -226,10 +226,8 @@ def coefficients(curve: AllanCurve, unit: str, lines: Sequence[tuple[float, floa
 
     A steady ramp is no noise: it is the slope of the log, where the noise would hardly leave one as steep.
 
-    Args:
-        curve: of one channel.
-        unit: of the channel, as a person writes it.
-        lines: frequency in Hz and amplitude of spectral lines; what they add to the curve is taken off it.
+    `unit` is of the channel, as a person writes it; `lines` are frequency in Hz and amplitude of spectral
+    lines; what they add to the curve is taken off it.
     """
     octaves = np.flatnonzero((curve.factors & (curve.factors - 1)) == 0)
     if len(octaves) < MIN_OCTAVES:

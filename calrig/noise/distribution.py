@@ -26,8 +26,7 @@ _PIECES = 24
 def effective_sample_sizes(centred: FloatArray) -> tuple[float, float]:
     """What the samples are worth for their third and fourth moment: n/Σρ(j)³ and n/Σρ(j)⁴ over all lags.
 
-    Args:
-        centred: (N,) samples about their mean, not all 0.
+    `centred` (N,) are samples about their mean, not all 0.
     """
     n = len(centred)
     if n <= _WHOLE:
@@ -109,8 +108,7 @@ class Distribution:
 def distribution_of(x: FloatArray) -> Distribution:
     """Return the distribution of a channel's samples.
 
-    Args:
-        x: (N,) finite samples in order; gaps between them do not matter here.
+    `x` (N,) are finite samples in order; gaps between them do not matter here.
     """
     mean = float(x.mean())
     centred = x - mean
@@ -238,9 +236,7 @@ def count_outliers(x: FloatArray, step: float) -> int:
     drifted there lies well among its neighbours, and one that a slow noise brought away from its neighbours
     lies well in the whole.
 
-    Args:
-        x: (N,) finite samples in order.
-        step: what they are rounded to; 0 if they are not.
+    `x` (N,) are finite samples in order, rounded to `step`; 0 if they are not.
     """
     sigmas = max(LEAST_SIGMAS, -float(ndtri(EXPECTED_OUTLIERS / (2.0 * max(len(x), 1)))))
     thinned = x[:: max(len(x) // _LOOKED_AT_FOR_OUTLIERS, 1)]

@@ -53,8 +53,7 @@ class Grid:
 def grid_of(time_s: FloatArray) -> Grid:
     """Find the uniform grid on which samples were taken.
 
-    Args:
-        time_s: (N,) stamps in s as logged, N ≥ 2; they may jitter, clump, wrap, restart and be NaN.
+    `time_s` (N,) are stamps in s as logged, N ≥ 2; they may jitter, clump, wrap, restart and be NaN.
 
     Raises:
         ValueError: the stamps tell of no rate, since they stand still or are not there.

@@ -49,9 +49,7 @@ def candidates(power: FloatArray, significance: float) -> IntArray:
     Two neighbouring bins hold at least 0.81 of a sinusoid's power. Where the background is known roughly
     only, at the lowest bins, they need less to be looked at.
 
-    Args:
-        power: (M,) of each bin.
-        significance: family-wise p-value, over all bins.
+    `power` (M,) is of each bin; `significance` is the family-wise p-value, over all bins.
     """
     pair = power[:-1] + power[1:]
     pair /= rough_background(power)[:-1]
@@ -227,11 +225,7 @@ def lay_out(x: FloatArray, rate_hz: float, segments: Sequence[slice], start_s: S
 
     Of a log with gaps that would make the grid sparse and large, the segment with most samples is taken.
 
-    Args:
-        x: (N,) finite.
-        rate_hz: of the samples.
-        segments: runs of samples without a gap, in order.
-        start_s: when each begins.
+    `x` (N,) is finite; `segments` are runs of samples without a gap, in order, each beginning at `start_s`.
     """
     lengths = np.array([part.stop - part.start for part in segments], dtype=np.int64)
     starts = np.rint((np.asarray(start_s) - start_s[0]) * rate_hz).astype(np.int64)
@@ -348,9 +342,7 @@ def take_out_steady(grid: Gridded, band: float) -> tuple[list[Sinusoid], FloatAr
     or two together lead astray: one is taken, then each is put back and searched for again with the others
     (Li & Stoica's RELAX, IEEE Trans. SP 44, 1996), where the log is not so long that this takes minutes.
 
-    Args:
-        grid: the log; it is changed.
-        band: bins within which `_MOST_PER_LINE` sinusoids are enough.
+    `grid`, the log, is changed; `band` are bins within which `_MOST_PER_LINE` sinusoids are enough.
 
     Returns:
         What was taken out, and the power that is left in each bin.
@@ -449,11 +441,8 @@ def find_lines(
 
     Harmonics are lines of their own. None has fewer than `sinusoids.MIN_CYCLES` periods in the log.
 
-    Args:
-        x: (N,) finite samples.
-        rate_hz: samples a second.
-        segments: runs of samples without a gap, in order.
-        start_s: when each begins, in s.
+    `x` (N,) are finite samples; `segments` are runs of them without a gap, in order, `start_s` is when each
+    begins, in s.
     """
     if sum(part.stop - part.start for part in segments) < MIN_SAMPLES or np.ptp(x) == 0.0:
         return ()

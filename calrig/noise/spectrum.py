@@ -113,9 +113,7 @@ def psd_slope(psd: Psd, lines_hz: Sequence[float] = ()) -> PsdSlope | None:
     move a median far. Groups are weighted by what they are worth, no more than a deviation from the straight
     line allows.
 
-    Args:
-        psd: the density.
-        lines_hz: known lines.
+    `lines_hz` are known lines.
 
     Returns:
         None with fewer than five groups.

@@ -42,9 +42,7 @@ class Clamping(NamedTuple):
 class Mount:
     """A package in a clamp on a table: it may sit askew, slip, bend under a cable, and be remounted.
 
-    Args:
-        options: of it.
-        rng: draws how well each clamping is seated.
+    `rng` draws how well each clamping is seated.
     """
 
     def __init__(self, options: MountOptions, rng: np.random.Generator | None = None) -> None:

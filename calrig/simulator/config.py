@@ -335,8 +335,7 @@ class SimulatorSettings(Options):
     def from_options(cls, options: Mapping[str, Any]) -> SimulatorSettings:
         """The settings of a rig's `simulated` table, over those of its preset where it names one.
 
-        Args:
-            options: for example `{"preset": "demo", "seed": 3, "mechanics": {"backlash_deg": 0.2}}`.
+        `options` are for example `{"preset": "demo", "seed": 3, "mechanics": {"backlash_deg": 0.2}}`.
 
         Raises:
             ValueError: an unknown preset or option or a wrong value; the message names the key.

@@ -46,11 +46,8 @@ class SimulatedRig:
         stage_port, imu_port: what `serial.serial_for_url` opens.
         stage_driver, imu_driver: of calrig, that understand them.
 
-    Args:
-        settings: what it is made of.
-        virtual: time for a rig whose ports are in this process (`sim://`); without it they are the system's,
-            and time is the wall's.
-        now_s: seconds of the wall, which never go back.
+    `virtual` is time for a rig whose ports are in this process (`sim://`); without it they are the system's,
+    and time is the wall's, by `now_s`, seconds which never go back.
     """
 
     def __init__(

@@ -72,9 +72,7 @@ def braking(
 class Trajectory:
     """Segments in the order of time; the future may be replaced, the past never changes.
 
-    Args:
-        position_deg: position at time 0.
-        relaxation_s: time constant of `behind`, infinite unless asked for.
+    `position_deg` is at time 0; `relaxation_s` is the time constant of `behind`, infinite unless asked for.
     """
 
     def __init__(self, position_deg: float, relaxation_s: float = math.inf) -> None:

@@ -63,9 +63,8 @@ class Part:
 class Scheduler:
     """Time that moves on when everybody waits.
 
-    Args:
-        most_speed: at most so many seconds for one of the wall's while no visitor waits; None for as many as
-            can be computed.
+    At most `most_speed` seconds pass for one of the wall's while no visitor waits; None for as many as can be
+    computed.
 
     Attributes:
         lock: guards what happens at an instant.

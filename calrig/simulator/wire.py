@@ -171,9 +171,7 @@ class TcpPort(_Wakeable):
 def open_port(kind: Literal["auto", "pty", "tcp"], opened: Callable[[], None] = lambda: None) -> Port:
     """A port of this kind; `auto` is a pseudo-terminal where the system has them.
 
-    Args:
-        kind: of port.
-        opened: is called whenever a client opens it; a pseudo-terminal does not tell.
+    `opened` is called whenever a client opens it; a pseudo-terminal does not tell.
 
     Raises:
         ValueError: pseudo-terminals were asked for and there are none.

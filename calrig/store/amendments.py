@@ -40,11 +40,8 @@ class AcceptedEffects(Repository):
 
         Each for its unit or its rig, in place of earlier ones of that name.
 
-        Args:
-            run_id: the run.
-            accepted: effects as its diagnosis has them.
-            joint: the model of these and all earlier acceptances of the unit, where there is one.
-            who: accepts them.
+        `accepted` are effects as its diagnosis has them, `joint` is the model of these and all earlier
+        acceptances of the unit, where there is one.
         """
         now = datetime.now(UTC)
         with self._database.writing() as session:
@@ -278,11 +275,7 @@ class Amendments(Repository):
 
         What was accepted from them and taken back since goes with them.
 
-        Args:
-            results: of each run, with what is in force for that unit.
-            unit: serial number of the unit they are of.
-            reason: why.
-            who: does it.
+        `results` are of each run, with what is in force for that unit.
 
         Raises:
             Refused: an effect that was accepted from one is in force for the unit it was taken for.
@@ -311,12 +304,7 @@ class Amendments(Repository):
     ) -> Run:
         """Marks a pose as not counting and replaces the run's result; the pose is kept.
 
-        Args:
-            run_id: the run.
-            index: the pose.
-            reason: why it does not count; a second one replaces the first.
-            result: what the poses that are left give.
-            who: does it.
+        `result` is what the poses that are left give; a second reason replaces the first.
 
         Raises:
             NotFound: the run has no such pose.

@@ -105,11 +105,8 @@ class Batches(Repository):
     ) -> None:
         """Writes what became of turns, unless somebody has written another thing meanwhile.
 
-        Args:
-            batch_id: of an open list.
-            before: every turn, as it was read.
-            after: those that are new or changed.
-            closed_at: ends the list as of then: nothing of it begins any more; None leaves it open.
+        `before` is every turn as it was read, `after` those that are new or changed. `closed_at` ends the
+        list as of then: nothing of it begins any more; None leaves it open.
 
         Raises:
             NotFound: there is no such list.

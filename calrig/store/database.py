@@ -82,9 +82,8 @@ class Database(ABC):
 
         In a `transaction` its changes are kept when that ends.
 
-        Args:
-            on: what `staging` gave; without it any connection.
-            in_turn: False for what counts nothing on and so waits for no other writer, where the engine can.
+        `on` is what `staging` gave, else any connection is taken; `in_turn` is False for what counts nothing
+        on and so waits for no other writer, where the engine can.
 
         Raises:
             StoreError: it cannot be written; of waiting for a turn, what `require_wanted` raises as well.

@@ -103,9 +103,8 @@ class Fleet(Repository):
     def packed_poses(self, runs: Sequence[ListedRun], *, with_gyro: bool = False) -> Iterator[PackedPoses]:
         """The poses that count of some runs, in the order of `completed_runs`, some runs at a time.
 
-        Args:
-            runs: those of `completed_runs` that are wanted.
-            with_gyro: whether the gyro's means over the dwells are wanted, too, which no screen looks into.
+        `with_gyro` tells whether the gyro's means over the dwells are wanted, too, which no screen looks
+        into.
 
         Raises:
             StoreDamagedError: poses are missing, or are not what was stored.

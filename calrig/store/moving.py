@@ -35,9 +35,7 @@ _Checked = dict[str, Any]
 class RowChecks:
     """Checks the rows of one table, piece by piece in the order of its key.
 
-    Args:
-        connection: where the rows come from: for poses, which are counted with their runs.
-        table: theirs.
+    `connection` is where the rows come from: for poses, which are counted with their runs.
     """
 
     def __init__(self, connection: Connection, table: Table) -> None:
@@ -201,10 +199,8 @@ def move_store(source_url: str, target_url: str, told: Callable[[float], None] =
     The source is read as it is at one instant and not changed. The target has all of it or, where anything
     goes wrong, none.
 
-    Args:
-        source_url: of the store to move, as `calrig.store.Store.open` takes it.
-        target_url: of the empty one; it is made where there is none.
-        told: is told the share done, 0 to 1.
+    `source_url` is as `calrig.store.Store.open` takes it; the target is made where there is none. `told` is
+    told the share done, 0 to 1.
 
     Raises:
         StoreDamagedError: something in the source is not what was stored; names it.

@@ -154,11 +154,7 @@ class Parcel:
 def next_parcels(session: Session, run: RunTable, epoch: int, before: Delivered) -> list[Parcel]:
     """The next pieces of a run, from one state of the store.
 
-    Args:
-        session: of that state.
-        run: its row.
-        epoch: of the order that it is carried out by.
-        before: how far it has been delivered.
+    `epoch` is of the order that it is carried out by, `before` how far it has been delivered.
     """
     wrap = _Wrapping(session, run, epoch)
     events = _events_after(session, run, before)

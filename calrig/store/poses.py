@@ -221,8 +221,7 @@ class Samples(Repository):
     def prune(self, before: datetime) -> int:
         """Deletes the raw samples of runs made before then and no longer going on, and nothing else.
 
-        Args:
-            before: an aware time.
+        `before` is an aware time.
 
         Returns:
             How many samples were deleted.

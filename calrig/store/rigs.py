@@ -248,11 +248,7 @@ class StageMaps(Repository):
     ) -> MapInForce:
         """Puts the map of a stored solution in force, in the place of the one before.
 
-        Args:
-            rig: whose stage it is of.
-            solution_id: of the solution.
-            document: its map, which has been looked at.
-            who: did it.
+        `document` is its map, which has been looked at.
         """
         with self._database.writing() as session:
             now = datetime.now(UTC)

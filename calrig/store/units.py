@@ -74,9 +74,8 @@ class Units(Repository):
 
         That is: completed and not voided; no verification, static log or follow-up.
 
-        Args:
-            serials: the units to compare; None for all.
-            latest: so many of those made last, of whichever units, are told as well.
+        Of all units without `serials`; with `latest`, so many made last, of whichever units, are told as
+        well.
         """
         wanted = (
             sqlalchemy.select(*_COMPARED)

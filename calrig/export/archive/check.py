@@ -58,9 +58,7 @@ def said_by_trail(lines: bytes, manifest: Mapping[str, Any]) -> Said:
     one's are not here, so that the chain is proven within each entry, from one to the next where they follow
     one another, and at the head where that is of this unit; across a gap the store itself can prove it.
 
-    Args:
-        lines: an entry each.
-        manifest: what it says of the trail.
+    `lines` have an entry each; `manifest` is what the archive's says of the trail.
 
     Raises:
         DamagedError: an entry is not what was written, or one is missing.
@@ -131,11 +129,7 @@ def document_problems(
 ) -> Iterator[Problem]:
     """What is wrong with the documents, and with the list of them.
 
-    Args:
-        revisions: the list.
-        said: by the trail; None where that cannot be read.
-        manifest: the archive's.
-        read: gives a document.
+    `said` is by the trail, None where that cannot be read; `read` gives a document.
     """
     in_force = [one["revision"] for one in revisions if one["status"] == "in_force"]
     if in_force != [number for number in [manifest["revision_in_force"]] if number is not None]:

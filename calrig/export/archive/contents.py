@@ -84,9 +84,7 @@ class _Outlet:
 def packed(members: Iterable[Member], manifest: Callable[[list[Packed]], Member]) -> Iterator[bytes]:
     """The zip, piece by piece.
 
-    Args:
-        members: in their order.
-        manifest: the last one, made of those before it.
+    `manifest` makes the last member of those before it.
     """
     outlet = _Outlet()
     written: list[Packed] = []
@@ -130,11 +128,7 @@ def unit_archive(
 
     Runs that are going on are left out, and named.
 
-    Args:
-        store: where the unit is.
-        unit: its serial number.
-        listed: revisions as CONTRACT section 2 lists them.
-        certificates: gives those that were issued.
+    `listed` gives revisions as CONTRACT section 2 lists them, `certificates` those that were issued.
     """
     contents = _Contents(store, unit, listed, certificates)
     return packed(contents.members(), contents.manifest)

@@ -213,9 +213,7 @@ class Sources:
 def certificate_of(sources: Sources, issue: Issue | None = None) -> Certificate:
     """The content of a revision's certificate: the same sources always give the same one.
 
-    Args:
-        sources: all that it is made of.
-        issue: how it is issued; None for a preview.
+    `issue` is how it is issued; None for a preview.
     """
     revision, run = sources.revision, sources.run
     document, provenance = revision.document, revision.document["provenance"]

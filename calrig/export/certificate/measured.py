@@ -153,9 +153,8 @@ def effects_found(
 ) -> tuple[EffectFound, ...]:
     """Effects of a document, or of the rig, in the catalogue's words.
 
-    Args:
-        effects: `name` and `parameters` of each.
-        stds: standard errors by effect, parameter and its value, as far as they are known.
+    `effects` have `name` and `parameters`; `stds` are standard errors by effect, parameter and its value, as
+    far as they are known.
     """
     return tuple(
         _effect_found(one["name"], one.get("origin"), one["parameters"], stds or {}) for one in effects
@@ -223,9 +222,7 @@ WITHOUT = {
 def standards_of(document: Document, measured_at: datetime | None) -> tuple[Standard, ...]:
     """The standards that a calibration document rests on; what was not stated of them is None.
 
-    Args:
-        document: CONTRACT section 6.
-        measured_at: when it was measured, with which a due date is compared.
+    `document` is of CONTRACT section 6; due dates are compared with `measured_at`, when it was measured.
     """
     provenance = document["provenance"]
     rig = provenance.get("rig") or {}

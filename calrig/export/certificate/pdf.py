@@ -57,11 +57,8 @@ def pdf_of(
 ) -> bytes:
     """The PDF.
 
-    Args:
-        said: the content.
-        residuals_svg: the picture of `said.residuals`.
-        attached: files to put inside.
-        laboratory: its logo and fonts, and the key that an issued certificate is signed with.
+    `residuals_svg` is the picture of `said.residuals`, `attached` are files to put inside. `laboratory` has
+    logo, fonts and the key that an issued certificate is signed with.
 
     Raises:
         RendererMissingError: typst is not installed.

@@ -30,9 +30,7 @@ FOUND, LEFT = "asFound", "asLeft"
 def measurement_results(said: Certificate, document: bytes) -> ET.Element:
     """The second ring of a DCC.
 
-    Args:
-        said: the certificate.
-        document: the calibration document as issued, which goes along whole.
+    `document` is the calibration document as issued, which goes along whole.
     """
     results = [
         *_elevation(said),
@@ -250,10 +248,8 @@ _INSTANCE = "http://www.w3.org/2001/XMLSchema-instance"
 def dcc_of(said: Certificate, document: bytes, country: str | None = None) -> bytes:
     """The XML: the same bytes for the same certificate.
 
-    Args:
-        said: the certificate.
-        document: the calibration document as issued.
-        country: of the laboratory, two letters of ISO 3166-1; None if not stated.
+    `document` is the calibration document as issued; `country` of the laboratory has two letters of ISO
+    3166-1, None if not stated.
     """
     for prefix, namespace in (("dcc", DCC), ("si", SI), ("xsi", _INSTANCE)):
         ET.register_namespace(prefix, namespace)

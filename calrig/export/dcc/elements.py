@@ -197,9 +197,7 @@ _BASIC_LINK = "https://digilab.ptb.de/dkd/refType/vocab/"
 def administrative_data(said: Certificate, country: str | None) -> ET.Element:
     """The first ring of a DCC.
 
-    Args:
-        said: the certificate.
-        country: of the laboratory, two letters of ISO 3166-1; None if not stated.
+    `country` of the laboratory has two letters of ISO 3166-1; None if not stated.
     """
     return dcc(
         "administrativeData",

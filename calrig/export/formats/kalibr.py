@@ -22,9 +22,7 @@ ROS_TOPIC = "/imu0"
 def kalibr(report: Mapping[str, Any], origin: str) -> str:
     """Kalibr's `imu.yaml`.
 
-    Args:
-        report: of a noise study (CONTRACT section 7).
-        origin: which log that is of.
+    `report` is of a noise study (CONTRACT section 7), of the log that `origin` names.
 
     Raises:
         NotHeldError: it has no white noise of an axis.

@@ -16,9 +16,7 @@ log = logging.getLogger(__name__)
 class ReadBoard(ABC):
     """One board on a port. What ends its thread is raised to the caller that waits for the board.
 
-    Args:
-        port: its port, open; closed with the board.
-        driver: the driver's name.
+    `port` is open, and closed with the board; `driver` is the driver's name.
     """
 
     def __init__(self, port: Port, driver: str) -> None:

@@ -34,9 +34,8 @@ class SketchReader:
     says is dropped and counted as `unparsed`, once a record has come: before, it may be half a line or a
     banner.
 
-    Args:
-        sketch: what the board is said to run.
-        faults: counts by kind; a remark of the board's is `board_error`.
+    `sketch` is what the board is said to run; `faults` are counts by kind, a remark of the board's is
+    `board_error`.
 
     Attributes:
         last_words: what it last said of trouble.
@@ -184,8 +183,7 @@ class SketchSamples:
     def push(self, records: list[tuple[float, Record]]) -> Samples:
         """The valid samples among some records and those held back before.
 
-        Args:
-            records: each with its time in s, strictly increasing.
+        `records` have each its time in s, strictly increasing.
         """
         valid: list[tuple[float, Record]] = []
         for time_s, record in records:

@@ -139,12 +139,8 @@ def plain(value: float) -> str:
 def unanswered(name: str, query: str, faults: Counter[str], check: str, said: str | None = None) -> str:
     """Say that a query has no reply, or none that can be read.
 
-    Args:
-        name: the stage's.
-        query: what was asked.
-        faults: counts by kind up to now.
-        check: what a person is to look at if nothing answers.
-        said: the last reply to the query that has not the form of one; None if none came.
+    `faults` are counts by kind up to now, `check` is what a person is to look at if nothing answers, `said`
+    the last reply to the query that has not the form of one, None if none came.
     """
     counted = ", ".join(f"{count} {kind}" for kind, count in faults.items())
     what = f"does not answer {query}"

@@ -35,9 +35,7 @@ class BackedUp:
 def back_up(url: str, target: Path) -> BackedUp:
     """Copies a store of any revision as it is at one instant; its writer goes on meanwhile.
 
-    Args:
-        url: of the store, as `Store.open` takes it.
-        target: the file to make: a store of its own, and there only once it is complete.
+    `url` is as `Store.open` takes it; the target, a store of its own, is there only once it is complete.
 
     Raises:
         StoreError: `target` exists, or cannot be written; there is no store at `url`, or it is damaged.

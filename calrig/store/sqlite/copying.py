@@ -107,9 +107,7 @@ def _sync(path: Path) -> None:
 def stored_revision(database: Path, uri: str | None = None) -> str | None:
     """The revision of a database file; None where it is empty.
 
-    Args:
-        database: the file.
-        uri: how to open it for reading only, as `calrig.store.sqlite.file.reading_uri` says.
+    `uri` opens it for reading only, as `calrig.store.sqlite.file.reading_uri` says.
 
     Raises:
         StoreError: it cannot be read, is not SQLite, is another program's, or holds what would act by itself.

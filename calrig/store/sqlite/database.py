@@ -68,11 +68,8 @@ def database_path(url: str) -> Path:
 class SqliteDatabase(Database):
     """An open SQLite file. Writes take turns, reads never wait for them (WAL).
 
-    Args:
-        path: the database's file.
-        writer: what the writer does (`serve`, `run`, `import`); None opens for reading only.
-        busy_timeout_s: how long to wait for a lock that another process holds.
-        left_by_the_dead: as `calrig.store.Store.open`.
+    `writer` is what the writer does (`serve`, `run`, `import`), None for reading only; `busy_timeout_s` how
+    long to wait for a lock that another process holds; `left_by_the_dead` as of `calrig.store.Store.open`.
 
     Raises:
         StoreError: as `calrig.store.Store.open`.

@@ -76,9 +76,7 @@ class WriterLock:
     Not `filelock`: it empties the file before it tries the lock, so that whoever finds the store taken would
     wipe out who holds it. What it does beside that is the one call of `flock`.
 
-    Args:
-        database: the database's file.
-        what: what the writer does, for whoever finds the lock taken: `serve`, `run`, `import`.
+    `what` the writer does is for whoever finds the lock taken: `serve`, `run`, `import`.
 
     Raises:
         StoreError: another writer holds it (who, since when), the file cannot be made, or something else

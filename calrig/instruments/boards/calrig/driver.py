@@ -33,9 +33,7 @@ LOST_S = 5.0
 class Mark:
     """The sign that was asked for last.
 
-    Args:
-        ask: asks for one.
-        now_s: the port's clock.
+    `ask` asks for one; `now_s` is the port's clock.
     """
 
     def __init__(self, ask: Callable[[], None], now_s: Callable[[], float]) -> None:

@@ -129,9 +129,7 @@ class GrblLink:
     def command(self, line: str, *, moving: str | None = None) -> str | None:
         """Sends a line that may be sent again, and returns its own `ok` or `error:n`; None: no such answer.
 
-        Args:
-            line: the command, without its end.
-            moving: the stage's name where the line moves it (Halted after a stop).
+        `line` is without its end; `moving` is the stage's name where the line moves it (Halted after a stop).
         """
         data = f"{line}\n".encode("ascii")
         self._sent, own = line, None

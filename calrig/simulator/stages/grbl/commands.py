@@ -407,11 +407,8 @@ class _Phase:
 class HomingCycle:
     """One cycle, from its beginning to its end.
 
-    Args:
-        eeprom: rates, pull-off and sides.
-        begin_s: when it begins.
-        distances: units from each axis to its switch, infinite where none closes.
-        closed: axes whose switch is held closed.
+    `eeprom` has rates, pull-off and sides. `distances` are units from each axis to its switch, infinite where
+    none closes; `closed` are axes whose switch is held closed.
 
     Attributes:
         ends_s: when it has succeeded or failed.
