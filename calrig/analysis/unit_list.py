@@ -6,14 +6,16 @@ import csv
 import io
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from calrig.analysis.due_dates import DueDates
 from calrig.analysis.histories import Histories
+from calrig.model.base import Model
 from calrig.model.verdict import Answer, Left
 from calrig.store import Store
 from calrig.store.errors import StoreError
@@ -25,31 +27,32 @@ UnitChange = Literal["changed", "unchanged", "not_known"]
 SOON = timedelta(days=30)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ListedUnit:
-    """A unit as `GET /api/units` lists it; `calrig.api.models.UnitAnswer` describes the fields."""
+class ListedUnit(Model):
+    """A sensor: its runs, its revision in force, its latest calibration, and when it is due."""
 
     serial: str
-    verdict: Answer | Literal["no_limits"] | None
-    left: Left | None
+    verdict: Answer | Literal["no_limits"] | None = Field(
+        description="The answer of the revision in force, as issued; null without one."
+    )
+    left: Left | None = Field(description="The residual of the revision in force, as issued.")
     revision_in_force: int | None
-    in_force_since: datetime | None
-    due_at: datetime | None
+    in_force_since: datetime | None = Field(description="When it was last released.")
+    due_at: datetime | None = Field(description="When it is to be calibrated again; null before the first.")
     overdue: bool
-    change: UnitChange | None
-    changed_at: datetime | None
-    last_calibrated_at: datetime | None
-    last_verdict: Answer | Literal["no_limits"] | None
+    change: UnitChange | None = Field(
+        description="Whether any of its valid calibrations differs from the one before; null before two."
+    )
+    changed_at: datetime | None = Field(description="When the run ended that showed the last change.")
+    last_calibrated_at: datetime | None = Field(description="When its latest valid calibration run ended.")
+    last_verdict: Answer | Literal["no_limits"] | None = Field(
+        description="The answer of that run under today's limits, whether or not it was released."
+    )
     last_left: Left | None
     n_runs: int
     last_run_at: datetime | None
     created_at: datetime
     due_method: Literal["interval", "drift"] | None
     due_says: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """As the API shows it."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +103,6 @@ def listed_units(
         current, last = in_force.get(unit.serial), latest.get(unit.serial)
         answer = None if last is None else answers.get(last.run_id)
         change, changed_at = changes.get(unit.serial, (None, None))
-        of = due.of(unit.serial)
         listed.append(
             ListedUnit(
                 serial=unit.serial,
@@ -108,8 +110,6 @@ def listed_units(
                 left=None if current is None else current.verdict["left"],
                 revision_in_force=None if current is None else current.revision,
                 in_force_since=None if current is None else current.since,
-                due_at=of.due_at,
-                overdue=of.overdue,
                 change=change,
                 changed_at=changed_at,
                 last_calibrated_at=None if last is None else last.finished_at,
@@ -118,8 +118,7 @@ def listed_units(
                 n_runs=unit.n_runs,
                 last_run_at=unit.last_run_at,
                 created_at=unit.created_at,
-                due_method=of.method,
-                due_says=of.says,
+                **due.of(unit.serial).to_dict(),
             )
         )
     return listed
@@ -129,9 +128,8 @@ def units_csv(units: Sequence[ListedUnit]) -> str:
     """Return the list as CSV, with a column for each field; what is not known is empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    names = [field.name for field in fields(ListedUnit)]
-    writer.writerow(names)
-    writer.writerows([_cell(getattr(unit, name)) for name in names] for unit in units)
+    writer.writerow(ListedUnit.model_fields)
+    writer.writerows([_cell(getattr(unit, name)) for name in ListedUnit.model_fields] for unit in units)
     return text.getvalue()
 
 

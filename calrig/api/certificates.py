@@ -1,6 +1,5 @@
 """Certificates as they were issued: numbered, listed, and served byte for byte."""
 
-from datetime import datetime
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, HTTPException, Query
@@ -15,6 +14,7 @@ from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
 from calrig.api.models import Body
 from calrig.model.base import Model
+from calrig.store.certificates import IssuedCertificate
 
 router = APIRouter(tags=["certificates"])
 
@@ -39,23 +39,10 @@ class StatedSettings(Model):
     country: str | None = None
 
 
-class CertificateAnswer(Model):
+class CertificateAnswer(IssuedCertificate):
     """A certificate that was issued; its bytes are at `/api/certificates/{number}`."""
 
-    number: str
-    unit: str
-    revision: int
-    issued_at: datetime = Field(description="Of the certificate; the document keeps its own.")
-    issued_by: str | None
-    replaces: str | None = Field(description="The certificate that this one corrects.")
-    replaced_by: str | None = Field(description="The certificate that corrects this one.")
-    reason: str | None
-    sha256: dict[Literal["pdf", "dcc", "json"], str | None] = Field(
-        description="Of the bytes served; `pdf` null where none could be made."
-    )
-    settings: StatedSettings = Field(description="Of the laboratory, when it was issued.")
-    trail_seq: int = Field(description="Number of the newest entry of the trail when it was issued.")
-    trail_sha256: str
+    settings: StatedSettings = Field(description="Of the laboratory, when it was issued.")  # type: ignore[assignment]
 
 
 @router.post(

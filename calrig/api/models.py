@@ -1,6 +1,5 @@
 """Bodies and answers of the API, exactly CONTRACT section 2: the OpenAPI document is made from these."""
 
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -8,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from calrig.model.base import Model
 from calrig.model.plan import Plan
 from calrig.model.run import Run
-from calrig.model.verdict import Answer, Left, Verdict
+from calrig.model.verdict import Verdict
 
 
 class Body(BaseModel):
@@ -124,38 +123,3 @@ class PoseAnswer(BaseModel):
     residual_deg: float | None = Field(
         description="As the verdict judges it; `fit=plain`: by bias and scale."
     )
-
-
-class UnitAnswer(Model):
-    """A sensor: its runs, its revision in force, its latest calibration, and when it is due."""
-
-    serial: str
-    created_at: datetime
-    n_runs: int
-    last_run_at: datetime | None
-    revision_in_force: int | None
-    in_force_since: datetime | None = Field(description="When it was last released.")
-    verdict: Answer | Literal["no_limits"] | None = Field(
-        description="The answer of the revision in force, as issued; null without one."
-    )
-    left: Left | None = Field(description="The residual of the revision in force, as issued.")
-    last_calibrated_at: datetime | None = Field(description="When its latest valid calibration run ended.")
-    last_verdict: Answer | Literal["no_limits"] | None = Field(
-        description="The answer of that run under today's limits, whether or not it was released."
-    )
-    last_left: Left | None
-    change: Literal["changed", "unchanged", "not_known"] | None = Field(
-        description="Whether any of its valid calibrations differs from the one before; null before two."
-    )
-    changed_at: datetime | None = Field(description="When the run ended that showed the last change.")
-    due_at: datetime | None = Field(description="When it is to be calibrated again; null before the first.")
-    overdue: bool
-    due_method: Literal["interval", "drift"] | None
-    due_says: str
-
-
-class UnitWithRuns(UnitAnswer):
-    """A sensor and all its runs, newest first."""
-
-    runs: list[RunAnswer]
-    active_run_id: str | None = Field(description="The run that the calibration in force is from.")

@@ -30,7 +30,7 @@ from calrig.api.models import (
 )
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
-from calrig.instruments.scan import Kind, stanza
+from calrig.instruments.scan import Found, stanza
 from calrig.model.base import Model
 from calrig.model.plan import ElevationDeg, MountAxis
 from calrig.model.run import Status
@@ -52,24 +52,10 @@ Since = Annotated[str | None, Query(alias="from", description=f"The first. {_DAT
 Until = Annotated[str | None, Query(alias="to", description=f"A time is excluded, a day included. {_DATES}")]
 
 
-class FoundAnswer(Model):
-    """A port and who answers there; `busy` and `no permission` are ports that did not open."""
-
-    port: str
-    kind: Kind
-    driver: str | None
-    identity: str
-    axis: int | None
-    baudrate: int | None
-    usb_id: str | None
-    usb_serial: str | None
-    description: str
-
-
 class ScanAnswer(Model):
     """Every port there is, by name."""
 
-    found: list[FoundAnswer]
+    found: list[Found]
     stanza: str = Field(description="For calrig.toml; empty where no stage was found.")
 
 

@@ -22,6 +22,7 @@ from calrig.analysis.certificates import write_archive
 from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.histories import histories
 from calrig.analysis.unit_list import (
+    ListedUnit,
     UnitChange,
     UnitDue,
     UnitFilter,
@@ -34,7 +35,7 @@ from calrig.api.context import Context, KnownUnit
 from calrig.api.errors import no_room, problems, problems_in_json
 from calrig.api.jobs import Heavy
 from calrig.api.measurements import prefers_csv
-from calrig.api.models import Body, UnitAnswer, UnitWithRuns
+from calrig.api.models import Body, RunAnswer
 from calrig.store.units import CalibrationItem, ItemField
 
 EVERY_RUN = 2**31
@@ -176,7 +177,7 @@ CSV = "text/csv; charset=utf-8"
 
 @router.get(
     "/api/units",
-    response_model=list[UnitAnswer],
+    response_model=list[ListedUnit],
     responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}, **problems(422)},
     summary="Every unit, by serial number",
 )
@@ -201,7 +202,14 @@ def list_units(
     if format == "csv" or (format is None and prefers_csv(accept)):
         headers = {"Content-Disposition": 'attachment; filename="units.csv"'}
         return Response(units_csv(kept), media_type=CSV, headers=headers)
-    return [unit.to_dict() for unit in kept]
+    return kept
+
+
+class UnitWithRuns(ListedUnit):
+    """A sensor and all its runs, newest first."""
+
+    runs: list[RunAnswer]
+    active_run_id: str | None = Field(description="The run that the calibration in force is from.")
 
 
 @router.get(
@@ -214,7 +222,7 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
     found = histories(context.store, [unit.serial])
     (listed,) = listed_units(context.store, found, context.due_dates(found, [unit.serial]), [unit.serial])
     return {
-        **listed.to_dict(),
+        **dict(listed),
         "runs": with_doubts(context.store, runs),
         "active_run_id": in_force and in_force.run_id,
     }

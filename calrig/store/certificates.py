@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
 
+from pydantic import Field
 from sqlalchemy import ColumnElement
 from sqlalchemy.orm import defer
 from sqlmodel import col, select
 
 from calrig.laboratory import LaboratorySettings
+from calrig.model.base import Model
 from calrig.model.calibration import RevisionStatus
 from calrig.store.database import Repository
 from calrig.store.errors import NotFound, Refused, Unreadable
@@ -24,31 +25,23 @@ STATED = (*LaboratorySettings().as_stated(), "country")
 """Of the settings, what the trail keeps; paths of files and keys are no part of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class IssuedCertificate:
-    """A certificate without its bytes.
-
-    Attributes:
-        issued_by: None where nobody is known by name.
-        replaces: number of the certificate that it corrects, `reason` why.
-        replaced_by: number of the one that corrects it.
-        settings: of the laboratory, as they were.
-        sha256: of the bytes, by `pdf`, `dcc` and `json`; `pdf` None where none could be made.
-        trail_seq, trail_sha256: the head of the trail that it states.
-    """
+class IssuedCertificate(Model):
+    """A certificate without its bytes; `reason` is why it replaces another one."""
 
     number: str
     unit: str
     revision: int
-    issued_at: datetime
+    issued_at: datetime = Field(description="Of the certificate; the document keeps its own.")
     issued_by: str | None
-    replaces: str | None
+    replaces: str | None = Field(description="The certificate that this one corrects.")
+    replaced_by: str | None = Field(default=None, description="The certificate that corrects this one.")
     reason: str | None
-    settings: Document
-    sha256: dict[str, str | None]
-    trail_seq: int
+    sha256: dict[Literal["pdf", "dcc", "json"], str | None] = Field(
+        description="Of the bytes served; `pdf` null where none could be made."
+    )
+    settings: Document = Field(description="Of the laboratory, when it was issued.")
+    trail_seq: int = Field(description="Number of the newest entry of the trail when it was issued.")
     trail_sha256: str
-    replaced_by: str | None = None
 
 
 class Certificates(Repository):

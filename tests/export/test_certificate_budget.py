@@ -24,7 +24,8 @@ from calrig.calibration.uncertainty.conformity import Limit
 from calrig.calibration.uncertainty.verdict import make_verdict
 from calrig.export.calibration_document import calibration_content
 from calrig.export.certificate import sheet
-from calrig.export.certificate.content import budget_of, rounded, with_uncertainty
+from calrig.export.certificate.budget import budget_of
+from calrig.export.certificate.content import rounded, with_uncertainty
 from calrig.export.certificate.making import results_of
 from calrig.export.certificate.measured import Measured
 

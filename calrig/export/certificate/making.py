@@ -14,6 +14,7 @@ import calrig
 from calrig.calibration.poses import of_first_mount
 from calrig.calibration.uncertainty import IN_WORDS, coverage_factor
 from calrig.export.certificate import wording
+from calrig.export.certificate.budget import budget_of
 from calrig.export.certificate.content import (
     DIGITS,
     Budget,
@@ -28,7 +29,6 @@ from calrig.export.certificate.content import (
     Replaced,
     Results,
     TrailMark,
-    budget_of,
 )
 from calrig.export.certificate.content import CalibrationItem as ItemSaid
 from calrig.export.certificate.measured import (

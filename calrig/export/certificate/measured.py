@@ -243,13 +243,8 @@ def _map(by_map: Document) -> Standard:
         role="Error of the stage",
         what=by_map["says"],
         uncertainty=f"standard uncertainty {by_itself(by_map['std_deg'])}°, {by_map['distribution']}",
-        certificate=None,
         file="the map",
         sha256=by_map["sha256"],
-        issued_by=None,
-        issued_on=None,
-        due=None,
-        overdue=None,
     )
 
 
@@ -260,13 +255,6 @@ def _gravity(document: Document) -> Standard:
         role="Angle",
         what="gravity and the full turn, by stage, mounts and unit solved together",
         uncertainty=f"standard uncertainty {worth}°, normal",
-        certificate=None,
-        file=None,
-        sha256=None,
-        issued_by=None,
-        issued_on=None,
-        due=None,
-        overdue=None,
     )
 
 
