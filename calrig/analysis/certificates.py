@@ -30,10 +30,9 @@ from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.certificates import Form, IssuedCertificate
 from calrig.store.issued import Revision
 from calrig.store.records import Document, StoredPose
-from calrig.store.trail import Entry, What
+from calrig.store.trail import EVERY_ENTRY, Entry, What
 
 T = TypeVar("T")
-EVERY_ENTRY = 1_000_000
 
 
 def certificate(

@@ -14,8 +14,7 @@ from calrig.analysis.histories import FIGURES, Histories, histories
 from calrig.calibration.histories import RIG_CHART, Checks, checks
 from calrig.model.run import Suspect
 from calrig.store import CheckUnit, Run, Store
-
-Document = dict[str, Any]
+from calrig.store.records import Document
 
 
 @dataclass(frozen=True, slots=True)

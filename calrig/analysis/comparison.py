@@ -1,19 +1,21 @@
-"""Units side by side: their runs, how each drifts and what changed, and what sets units apart."""
+"""Units side by side: their runs, how each drifts and changed, what sets units apart, and their pictures."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic_core import to_json
 
+from calrig import figures
 from calrig.analysis.check_standard import suspects
 from calrig.analysis.due_dates import DueDates, due_dates
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import RULE, Histories, change_of, change_verdict, histories
+from calrig.analysis.stored_runs import counted_poses
 from calrig.calibration.histories import (
     FALSE_DISCOVERY_RATE,
     Components,
@@ -225,3 +227,30 @@ def _marked(apart: Sequence[str], units: int, *, known: bool) -> str:
 def _listed(serials: Sequence[str]) -> str:
     more = len(serials) - MOST_NAMED
     return ", ".join(serials[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+ComparedFigure = Literal["bias", "scale", "rms", "residuals"]
+
+
+def compared_figure(
+    name: ComparedFigure, serials: Sequence[str] | None, chosen: Sequence[str] | None, store: Store
+) -> figures.Figure:
+    """Return a picture of units.
+
+    `serials` are in the order wanted, None for all; units that are not dimmed are `chosen`, without any those
+    that changed.
+
+    Raises:
+        Unknown: there is no such unit.
+    """
+    found = histories(store, serials)
+    units = compared_runs(store, serials, found)
+    coloured = chosen or found.changed_units()
+    if name != "residuals":
+        return figures.compare(name, units, coloured)
+    latest = {serial: runs[-1] for serial, runs in units.items() if runs}
+    curves = [
+        figures.Curve(serial, counted_poses(store, run["run_id"]), run["bias_deg"], run["scale"])
+        for serial, run in latest.items()
+    ]
+    return figures.residuals_overlaid(curves, coloured)

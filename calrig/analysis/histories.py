@@ -32,6 +32,7 @@ from calrig.estimation.angles import FloatArray
 from calrig.model.comparison import ChangeVerdict
 from calrig.model.result import Gyro
 from calrig.store import ComparisonRow, Store
+from calrig.store.records import Document
 
 FIGURES = (("bias_deg", "bias_std_deg"), ("scale", "scale_std"))
 """What is compared, with its standard error."""
@@ -283,8 +284,6 @@ def plus_minus(value: float, std: float, unit: str) -> str:
     rounded = round(value, decimals) + 0.0  # no −0.00
     return f"{rounded:.{decimals}f} ± {std:.{decimals}f}{unit}".replace("-", "−")
 
-
-Document = dict[str, Any]
 
 RULE = (
     f"Units are marked so that of those marked {100 * FALSE_DISCOVERY_RATE:g} % on average are so by chance "

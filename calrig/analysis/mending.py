@@ -18,12 +18,12 @@ from functools import partial
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Conflict
 from calrig.analysis.results import refitted
-from calrig.analysis.revisions import EVERY_ENTRY, Issuer
+from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import counted_poses
 from calrig.analysis.unit_of_work import Fits, in_one_transaction
 from calrig.model.result import Result
 from calrig.store import AcceptedEffect, Run, Store
-from calrig.store.trail import Act, Entry, What
+from calrig.store.trail import EVERY_ENTRY, Act, Entry, What
 
 log = logging.getLogger(__name__)
 

@@ -30,8 +30,8 @@ from calrig.settings import ReleasePolicy, RigSettings
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Draft, Revision
 from calrig.store.records import Document
+from calrig.store.trail import EVERY_ENTRY
 
-EVERY_ENTRY = 1_000_000
 BROUGHT_OVER = "in force when this store began to issue revisions"
 
 

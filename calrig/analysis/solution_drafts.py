@@ -27,9 +27,7 @@ from calrig.store import Run, Store
 from calrig.store.convert import iso_utc
 from calrig.store.records import Document, StoredPose
 from calrig.store.solutions import StoredSolution
-from calrig.store.trail import What
-
-EVERY_ENTRY = 1_000_000
+from calrig.store.trail import EVERY_ENTRY, What
 
 
 def solved_run(store: Store, unit: str, solution: StoredSolution) -> Run:

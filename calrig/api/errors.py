@@ -26,12 +26,17 @@ log = logging.getLogger(__name__)
 FIELDS = "Calrig-Fields"
 """The header of a refusal with the places that are wrong, percent-encoded: `plan.elevations_deg[1]`."""
 
-STATUS: dict[type[RunsError], int] = {Unknown: 404, Conflict: 409, Invalid: 422}
-STORE_STATUS: dict[type[StoreError], int] = {
+STATUS: dict[type[Exception], int] = {
+    Unknown: 404,
+    Conflict: 409,
+    Invalid: 422,
     NotFound: 404,
     Refused: 409,
     NotText: 422,
     StoreUnavailableError: 503,
+    WorkRefused: 429,
+    WorkTooLarge: 422,
+    WorkLost: 503,
 }
 
 CLIENT_LEFT = 499
@@ -71,20 +76,22 @@ def problems_in_json(*codes: int) -> Responses:
 
 def install(app: FastAPI) -> None:
     """Has the application answer its errors in the contract's form."""
-    app.add_exception_handler(RunsError, _runs_error)
-    app.add_exception_handler(StoreError, _store_error)
-    app.add_exception_handler(WorkRefused, _work_refused)
-    app.add_exception_handler(WorkTooLarge, _work_too_large)
-    app.add_exception_handler(WorkLost, _work_lost)
+    for kind in (RunsError, StoreError, WorkRefused, WorkTooLarge, WorkLost):
+        app.add_exception_handler(kind, _known_error)
     app.add_exception_handler(Exception, _defect)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
 
 
-async def _runs_error(_request: Request, error: Exception) -> JSONResponse:
-    status = next((code for kind, code in STATUS.items() if isinstance(error, kind)), 500)
-    assert isinstance(error, RunsError)  # noqa: S101 (as registered)
-    return JSONResponse({"detail": str(error)}, status, _naming(error.fields[:SHOWN]))
+async def _known_error(_request: Request, error: Exception) -> JSONResponse:
+    status = status_of(error)
+    headers = _naming(error.fields[:SHOWN]) if isinstance(error, RunsError) else {}
+    if isinstance(error, WorkRefused | WorkLost):
+        headers = {"Retry-After": "5"}
+    # Full, locked or read-only is the operator's to mend, and then the same request will do.
+    if status >= 500 and not isinstance(error, RunsError):
+        log.error("heavy work: %s" if isinstance(error, WorkLost) else "%s", error)
+    return JSONResponse({"detail": str(error)}, status, headers)
 
 
 def _naming(fields: Sequence[str]) -> dict[str, str]:
@@ -92,27 +99,6 @@ def _naming(fields: Sequence[str]) -> dict[str, str]:
     # A name may be empty, `{"": 1}`, and a header of blanks is none that a server may send.
     named = [quote(field, safe="[]._", errors="replace") for field in fields if field]
     return {FIELDS: " ".join(named)} if named else {}
-
-
-async def _store_error(_request: Request, error: Exception) -> JSONResponse:
-    # Full, locked or read-only is the operator's to mend, and then the same request will do.
-    status = next((code for kind, code in STORE_STATUS.items() if isinstance(error, kind)), 500)
-    if status >= 500:
-        log.error("%s", error)
-    return JSONResponse({"detail": str(error)}, status_code=status)
-
-
-async def _work_refused(_request: Request, error: Exception) -> JSONResponse:
-    return JSONResponse({"detail": str(error)}, 429, {"Retry-After": "5"})
-
-
-async def _work_too_large(_request: Request, error: Exception) -> JSONResponse:
-    return JSONResponse({"detail": str(error)}, 422)
-
-
-async def _work_lost(_request: Request, error: Exception) -> JSONResponse:
-    log.error("heavy work: %s", error)
-    return JSONResponse({"detail": str(error)}, 503, {"Retry-After": "5"})
 
 
 async def _defect(_request: Request, _error: Exception) -> JSONResponse:
@@ -155,8 +141,7 @@ def status_of(error: BaseException) -> int:
     """The status that an answer would have."""
     if isinstance(error, HTTPException):
         return 422 if error.status_code == 400 else error.status_code
-    kinds = {**STATUS, **STORE_STATUS, WorkRefused: 429, WorkTooLarge: 422, WorkLost: 503}
-    return next((code for kind, code in kinds.items() if isinstance(error, kind)), 500)
+    return next((code for kind, code in STATUS.items() if isinstance(error, kind)), 500)
 
 
 def reason_of(error: BaseException) -> str:

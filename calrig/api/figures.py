@@ -10,8 +10,7 @@ from fastapi import APIRouter, Path, Query
 from calrig import figures
 from calrig.analysis.calibration_in_force import Fit, residuals_of
 from calrig.analysis.check_standard import check_chart
-from calrig.analysis.comparison import compared_runs
-from calrig.analysis.comparison_figures import ComparedFigure, compared_figure
+from calrig.analysis.comparison import ComparedFigure, compared_figure, compared_runs
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import charts, histories
 from calrig.api.compare import Units, of_units

@@ -14,7 +14,17 @@ from calrig.calibration.results import numbers_of
 from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 from calrig.figures.files import Rows
-from calrig.figures.parts import APPROACHES, GREY, PALETTE, Figure, as_text, error_bars, layout_of
+from calrig.figures.parts import (
+    APPROACHES,
+    GREY,
+    PALETTE,
+    Figure,
+    as_text,
+    error_bars,
+    layout_of,
+    line_of,
+    points_of,
+)
 
 CURVE_POINTS = 400
 ROOM = 1.2
@@ -77,16 +87,14 @@ def partial_residual(found: PartialResidual, wave: Mapping[str, float] | None = 
         senses = [int(sense) for sense in np.unique(found.at)]
         names = [APPROACHES[sense][0] for sense in senses]
         layout["xaxis"].update(tickvals=senses, ticktext=names, range=[-1.6, 1.6])
-    points = {
-        "type": "scatter",
-        "mode": "markers",
-        "name": "poses",
-        "x": at.tolist(),
-        "y": found.residual_deg.tolist(),
-        "customdata": found.theta_deg.tolist(),
-        "marker": {"color": PALETTE[0], "size": 6, "opacity": 0.7},
-        "hovertemplate": "at %{customdata:.2f}°: %{y:.4f}°<extra></extra>",
-    }
+    points = points_of(
+        "poses",
+        at.tolist(),
+        found.residual_deg.tolist(),
+        {"color": PALETTE[0], "size": 6, "opacity": 0.7},
+        customdata=found.theta_deg.tolist(),
+        hovertemplate="at %{customdata:.2f}°: %{y:.4f}°<extra></extra>",
+    )
     fitted = _one_period(wave) if wave is not None and is_folded else _fitted(found, at)
     return {"data": [points, fitted], "layout": layout}
 
@@ -94,9 +102,8 @@ def partial_residual(found: PartialResidual, wave: Mapping[str, float] | None = 
 def _one_period(wave: Mapping[str, float]) -> dict[str, Any]:
     turn = np.linspace(0.0, 1.0, CURVE_POINTS)
     effect_deg = wave["amplitude_deg"] * np.sin(2.0 * np.pi * turn + np.radians(wave["phase_deg"]))
-    x, y = (turn * wave["period_deg"]).tolist(), effect_deg.tolist()
-    line = {"color": PALETTE[1], "width": 3}
-    return {"type": "scatter", "mode": "lines", "name": "fitted effect", "x": x, "y": y, "line": line}
+    line = line_of("fitted effect", (turn * wave["period_deg"]).tolist(), effect_deg.tolist(), PALETTE[1])
+    return {**line, "line": {"color": PALETTE[1], "width": 3}}
 
 
 def diagnosis_figures(found: DrawnResiduals, effects: Sequence[Mapping[str, Any]]) -> Rows:
@@ -135,15 +142,9 @@ def _left(at: FloatArray, left_deg: FloatArray, axis: str, colour: str) -> Figur
     layout = layout_of(axis, "residual (°)")
     layout["yaxis"]["zeroline"] = True
     layout["showlegend"] = False
-    points = {
-        "type": "scatter",
-        "mode": "markers",
-        "name": "poses",
-        "x": at.tolist(),
-        "y": left_deg.tolist(),
-        "marker": {"color": colour, "size": 5, "opacity": 0.7},
-        "hovertemplate": "%{x:.2f}: %{y:.5f}°<extra></extra>",
-    }
+    marker = {"color": colour, "size": 5, "opacity": 0.7}
+    hover = "%{x:.2f}: %{y:.5f}°<extra></extra>"
+    points = points_of("poses", at.tolist(), left_deg.tolist(), marker, hovertemplate=hover)
     return {"data": [points], "layout": layout}
 
 
@@ -204,12 +205,8 @@ def _fitted(found: PartialResidual, at: FloatArray) -> dict[str, Any]:
     if found.covariate == "approach":
         return {**trace, "mode": "lines", "line": {"color": PALETTE[1], "width": 3}, **_levels(found, at)}
     if _is_rough(y) or (found.covariate == "temperature_c" and _turns_often(y)):
-        marker = {
-            "color": PALETTE[1],
-            "symbol": "x-thin",
-            "size": 8,
-            "line": {"color": PALETTE[1], "width": 2},
-        }
+        line = {"color": PALETTE[1], "width": 2}
+        marker = {"color": PALETTE[1], "symbol": "x-thin", "size": 8, "line": line}
         return {**trace, "mode": "markers", "x": x.tolist(), "y": y.tolist(), "marker": marker}
     stride = max(1, -(-len(x) // CURVE_POINTS))
     line = {"color": PALETTE[1], "width": 3}

@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from calrig.figures.files import Rows
-from calrig.figures.parts import GREY, PALETTE, Figure, as_text, band_of, colours_of, layout_of, line_of
+from calrig.figures.parts import GREY, PALETTE, Figure, band_of, colours_of, layout_of, line_of, points_of
 from calrig.figures.runs import MAX_POINTS
 
 DIAL = "dial of the stage (°)"
@@ -78,14 +78,6 @@ def _points(
         of_mount[mount][0].append(dial_deg)
         of_mount[mount][1].append(value_deg)
     return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": as_text(name),
-            "showlegend": colours[name] != GREY,
-            "x": x,
-            "y": y,
-            "marker": {"color": colours[name], "size": 5},
-        }
+        points_of(name, x, y, {"color": colours[name], "size": 5}, showlegend=colours[name] != GREY)
         for name, (x, y) in zip(names, of_mount, strict=True)
     ]

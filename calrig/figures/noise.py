@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calrig.estimation.angles import FloatArray
-from calrig.figures.parts import PALETTE, Figure, as_text, band_of, colour_of, layout_of, line_of
+from calrig.figures.parts import PALETTE, Figure, as_text, band_of, colour_of, layout_of, line_of, points_of
 from calrig.noise.allan import KINDS, variance_of
 from calrig.noise.analysis import ChannelNoise, Noise
 
@@ -149,20 +149,11 @@ def _lines(
         return []
     at = [line.frequency_hz for line in channel.lines]
     height = [float(density[int(np.abs(frequency_hz - one).argmin())]) for one in at]
-    return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "line",
-            "legendgroup": channel.name,
-            "showlegend": False,
-            "x": at,
-            "y": height,
-            "customdata": [line.amplitude for line in channel.lines],
-            "marker": {"color": colour, "symbol": "triangle-down", "size": 11},
-            "hovertemplate": f"line at %{{x:.4g}} Hz, amplitude %{{customdata:.3g}} {channel.unit}",
-        }
-    ]
+    marker = {"color": colour, "symbol": "triangle-down", "size": 11}
+    points = points_of("line", at, height, marker, legendgroup=channel.name, showlegend=False)
+    points["customdata"] = [line.amplitude for line in channel.lines]
+    points["hovertemplate"] = f"line at %{{x:.4g}} Hz, amplitude %{{customdata:.3g}} {channel.unit}"
+    return [points]
 
 
 def _thinned(frequency_hz: FloatArray, density: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -31,6 +31,12 @@ def line_of(name: str, x: list[Any], y: list[Any], colour: str, hover: str | Non
     return {**trace, "hovertemplate": hover} if hover else trace
 
 
+def points_of(name: str, x: list[Any], y: list[Any], marker: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Return points alone, by their marker."""
+    look = {"type": "scatter", "mode": "markers", "name": as_text(name), "marker": marker}
+    return {**look, "x": x, "y": y, **more}
+
+
 def band_of(
     name: str, x: Sequence[float], low: Sequence[float], high: Sequence[float], colour: str
 ) -> dict[str, Any]:

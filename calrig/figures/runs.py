@@ -20,6 +20,7 @@ from calrig.figures.parts import (
     error_bars,
     layout_of,
     line_of,
+    points_of,
 )
 
 MAX_POINTS = 4000
@@ -119,19 +120,10 @@ def residuals_overlaid(curves: Sequence[Curve], chosen: Collection[str] = ()) ->
         if colour == GREY:
             data.append(dimmed(line))
             continue
-        data.append(
-            {
-                **group,
-                "type": "scatter",
-                "mode": "markers",
-                "x": [x for x, _ in points],
-                "y": [y for _, y in points],
-                "marker": {"color": colour, "size": 5, "opacity": 0.4},
-                "hoverinfo": "skip",
-                "showlegend": False,
-            }
-        )
-        data.append(line)
+        x, y = [x for x, _ in points], [y for _, y in points]
+        marker = {"color": colour, "size": 5, "opacity": 0.4}
+        behind = points_of(curve.name, x, y, marker, hoverinfo="skip", showlegend=False)
+        data += [{**behind, **group}, line]
     return {"data": data, "layout": layout}
 
 
@@ -167,17 +159,15 @@ def _residual_points(
 ) -> dict[str, Any]:
     name, symbol, colour = look
     errors = [poses[k].reading_stderr_deg for k in chosen]
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "x": [poses[k].theta_deg for k in chosen],
-        "y": [left_deg[k] for k in chosen],
-        "customdata": list(chosen),
-        "error_y": error_bars([None if e is None else e / abs(scale) for e in errors], colour),
-        "marker": {"color": colour, "symbol": symbol, "size": 8, "line": {"color": colour, "width": 1}},
-        "hovertemplate": f"pose %{{customdata}} at %{{x:.2f}}°: {what} %{{y:.4f}}°<extra></extra>",
-    }
+    return points_of(
+        name,
+        [poses[k].theta_deg for k in chosen],
+        [left_deg[k] for k in chosen],
+        {"color": colour, "symbol": symbol, "size": 8, "line": {"color": colour, "width": 1}},
+        customdata=list(chosen),
+        error_y=error_bars([None if e is None else e / abs(scale) for e in errors], colour),
+        hovertemplate=f"pose %{{customdata}} at %{{x:.2f}}°: {what} %{{y:.4f}}°<extra></extra>",
+    )
 
 
 def _means_by_target(poses: Sequence[Pose], values: Sequence[float]) -> list[tuple[float, float]]:

@@ -1,6 +1,7 @@
 """Devices by name: the built-in ones, and those that other packages offer as entry points.
 
-Each folder under `stages` and `boards` that is a package declares its `DEVICE`; nothing else lists them.
+Each folder under `stages` and `boards` that is a package declares its `DEVICE`, and `boards.public_sketches`
+has the sketches that print text; nothing else lists them.
 Another package adds a stage with the entry-point group `calrig.stages`, a board with `calrig.boards`. The
 entry point's name is the driver's. Its object is a `StageDevice` or `BoardDevice`, which takes part in scans,
 or only a function that opens one.
@@ -17,6 +18,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from calrig.instruments import boards, stages
+from calrig.instruments.boards.public_sketches import SKETCHES
+from calrig.instruments.boards.sketch import board_device
 from calrig.instruments.device import AnyDevice, BoardDevice, OpenBoard, OpenStage, StageDevice
 from calrig.instruments.errors import InstrumentError
 
@@ -42,7 +45,10 @@ def _built_in(folder: ModuleType, kind: type[T]) -> dict[str, T]:
 
 
 STAGES: Mapping[str, StageDevice] = _built_in(stages, StageDevice)
-BOARDS: Mapping[str, BoardDevice] = _built_in(boards, BoardDevice)
+BOARDS: Mapping[str, BoardDevice] = {
+    **_built_in(boards, BoardDevice),
+    **{sketch.driver: board_device(sketch) for sketch in SKETCHES},
+}
 
 
 def open_stage(driver: str, port: str, *, axis: int = 1, baudrate: int | None = None) -> Stage:

@@ -27,6 +27,8 @@ What = Literal[
     "bench_added", "bench_enrolled", "bench_revoked", "stop_withdrawn",
 ]  # fmt: skip
 
+EVERY_ENTRY = 1_000_000
+"""More than any trail has: as the limit of a question, all."""
 FIRST = "0" * 64
 """What the first entry is chained to."""
 

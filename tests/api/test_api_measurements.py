@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import QUICK, declared, ended, running_service, serving
 
-from calrig.analysis import comparison, comparison_figures
+from calrig.analysis import comparison
 from calrig.api import compare
 
 POSES = """\
@@ -215,8 +215,7 @@ def test_many_units_are_compared_by_another_process(measured, monkeypatch):
     ]
     here = [client.get(path).raise_for_status().json() for path in paths]
     monkeypatch.setattr(compare, "FEW_UNITS", 0)
-    for module in (comparison, comparison_figures):
-        monkeypatch.setattr(module, "compared_runs", None)  # of the service's own process
+    monkeypatch.setattr(comparison, "compared_runs", None)  # of the service's own process
     assert [client.get(path).raise_for_status().json() for path in paths] == here
     assert client.get("/api/compare?unit=nobody").status_code == 404
 

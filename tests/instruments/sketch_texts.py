@@ -6,15 +6,7 @@ from dataclasses import dataclass
 
 from hypothesis import strategies as st
 
-from calrig.instruments.boards import (
-    adafruit_basic,
-    adafruit_plotter,
-    dmp_ypr,
-    i2cdev_raw,
-    mpu6050_light,
-    tkj_kalman,
-    tockn,
-)
+from calrig.instruments.boards.public_sketches import SKETCHES
 from calrig.instruments.boards.sketch import Sketch
 
 
@@ -38,27 +30,28 @@ class Text:
         )
 
 
+SKETCH = {sketch.driver: sketch for sketch in SKETCHES}
 TEXTS = [
-    Text(i2cdev_raw.SKETCH, "a/g:\t%d\t%d\t%d\t%d\t%d\t%d\r\n", (32767,) * 6),
+    Text(SKETCH["i2cdev-raw"], "a/g:\t%d\t%d\t%d\t%d\t%d\t%d\r\n", (32767,) * 6),
     Text(
-        tkj_kalman.SKETCH,
+        SKETCH["tkj-kalman"],
         "%.2f\t%.2f\t%.2f\t%.2f\t\t%.2f\t%.2f\t%.2f\t%.2f\t\r\n",
         (180, 180, 180, 180, 90, 180, 90, 90),
     ),
     Text(
-        adafruit_plotter.SKETCH,
+        SKETCH["adafruit-plotter"],
         "AccelX:%.2f,AccelY:%.2f,AccelZ:%.2f, GyroX:%.2f,GyroY:%.2f,GyroZ:%.2f\r\n",
         (156,) * 3 + (4.36,) * 3,
     ),
     Text(
-        adafruit_basic.SKETCH,
+        SKETCH["adafruit-basic"],
         "Acceleration X: %.2f, Y: %.2f, Z: %.2f m/s^2\r\nRotation X: %.2f, Y: %.2f, Z: %.2f rad/s\r\n"
         "Temperature: %.2f degC\r\n\r\n",
         (78,) * 3 + (8.7,) * 3 + (85,),
     ),
-    Text(mpu6050_light.SKETCH, "X : %.2f\tY : %.2f\tZ : %.2f\r\n", (180, 90, 9000)),
-    Text(tockn.SKETCH, "angleX : %.2f\tangleY : %.2f\tangleZ : %.2f\r\n", (180, 90, 9000)),
-    Text(dmp_ypr.SKETCH, "ypr\t%.2f\t%.2f\t%.2f\r\n", (180, 90, 180)),
+    Text(SKETCH["mpu6050-light"], "X : %.2f\tY : %.2f\tZ : %.2f\r\n", (180, 90, 9000)),
+    Text(SKETCH["tockn"], "angleX : %.2f\tangleY : %.2f\tangleZ : %.2f\r\n", (180, 90, 9000)),
+    Text(SKETCH["dmp-ypr"], "ypr\t%.2f\t%.2f\t%.2f\r\n", (180, 90, 180)),
 ]
 BY_DRIVER = {text.sketch.driver: text for text in TEXTS}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import re
 import struct
@@ -13,9 +12,9 @@ import numpy as np
 import pytest
 from instrument_fakes import SimulatedEnd, cobs_decode
 from simulated_devices import Uart
+from sketch_texts import SKETCH
 from wire_recordings import BOOT_LOADER_S, in_pieces, recording, starts
 
-from calrig.instruments.boards import adafruit_basic
 from calrig.instruments.drivers import BOARDS, known_devices, open_board
 from calrig.instruments.errors import BoardError
 from calrig.instruments.scan import converse, probes
@@ -104,14 +103,13 @@ def simulated(driver, fault, duration_s):
     ],
 )
 def test_a_board_has_the_ranges_that_its_sketch_sets(driver, ranges):
-    module = importlib.import_module(f"calrig.instruments.boards.{driver.replace('-', '_')}")
-    assert module.SKETCH.ranges == ranges
+    assert SKETCH[driver].ranges == ranges
 
 
 def test_adafruits_basic_sketch_says_its_ranges():
     said = "".join(event.text for event in recording("sketch-adafruit-basic"))
     assert re.findall(r"range set to: \+- ?(\d+)", said)[:2] == ["8", "500"]
-    assert adafruit_basic.SKETCH.ranges == (8, 500)
+    assert SKETCH["adafruit-basic"].ranges == (8, 500)
 
 
 def received(events):

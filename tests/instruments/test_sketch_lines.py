@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sketch_texts import BANNERS, BY_DRIVER, ELECTRONIC_CATS, TEXTS
+from sketch_texts import BANNERS, BY_DRIVER, ELECTRONIC_CATS, SKETCH, TEXTS
 
-from calrig.instruments.boards import adafruit_basic, adafruit_plotter, i2cdev_raw, mpu6050_light
 from calrig.instruments.boards.sketch import Sketch, line_forms
 from calrig.instruments.boards.sketch_board import SketchReader, SketchSamples
 from calrig.instruments.errors import BoardError
@@ -37,7 +36,7 @@ def sample(sketch, data):
 
 
 def test_raw_registers_are_g_and_degrees_per_second():
-    block = sample(i2cdev_raw.SKETCH, b"a/g:\t-16384\t8192\t16384\t131\t-262\t13100\r\n")
+    block = sample(SKETCH["i2cdev-raw"], b"a/g:\t-16384\t8192\t16384\t131\t-262\t13100\r\n")
     np.testing.assert_allclose(block.accel_g, [[-1, 0.5, 1]])
     np.testing.assert_allclose(block.gyro_dps, [[1, -2, 100]])
     assert np.isnan(block.temperature_c).all()
@@ -62,7 +61,7 @@ def test_the_elevation_of_an_angle_sketch_is_its_turn_about_x(driver, line, angl
 
 def test_adafruits_units_become_g_and_degrees_per_second():
     line = b"AccelX:0.00,AccelY:-4.90,AccelZ:9.81, GyroX:0.01,GyroY:-3.14,GyroZ:0.00\r\n"
-    block = sample(adafruit_plotter.SKETCH, line)
+    block = sample(SKETCH["adafruit-plotter"], line)
     np.testing.assert_allclose(block.accel_g, [[0, -4.90 / G_MPS2, 9.81 / G_MPS2]])
     np.testing.assert_allclose(block.gyro_dps, [[0.572958, -179.908748, 0]], atol=1e-6)
 
@@ -72,7 +71,7 @@ def test_adafruits_basic_record_has_four_lines():
         b"Acceleration X: 0.12, Y: -0.05, Z: 9.79 m/s^2\r\nRotation X: 0.02, Y: 0.00, Z: -0.01 rad/s\r\n"
         b"Temperature: 27.35 degC\r\n\r\n"
     )
-    block = sample(adafruit_basic.SKETCH, record)
+    block = sample(SKETCH["adafruit-basic"], record)
     np.testing.assert_allclose(block.accel_g * G_MPS2, [[0.12, -0.05, 9.79]])
     np.testing.assert_allclose(np.radians(block.gyro_dps), [[0.02, 0, -0.01]])
     assert block.temperature_c[0] == 27.35
@@ -242,7 +241,7 @@ def test_the_reader_recovers_with_the_next_record(text, data):
 @given(st.lists(st.integers(0, 3), min_size=2, max_size=60))
 def test_equal_registers_are_never_accepted(values):
     faults = Counter()
-    samples = SketchSamples(i2cdev_raw.SKETCH, faults)
+    samples = SketchSamples(SKETCH["i2cdev-raw"], faults)
     block = samples.push([(0.1 * k, (v, 0, 0, 0, 0, 0)) for k, v in enumerate(values)])
     accepted = [v for before, v in zip([0, *values], values, strict=False) if v != before and v != 0]
     assert (block.accel_g[:, 0] * 16384).tolist() == accepted
@@ -260,7 +259,7 @@ def test_two_decimals_repeat_honestly_for_three_seconds_and_no_longer(runs):
         honest = times <= 25 and k != last
         valid += came if honest else came[:1]
     faults = Counter()
-    samples = SketchSamples(mpu6050_light.SKETCH, faults)
+    samples = SketchSamples(SKETCH["mpu6050-light"], faults)
     taken = [samples.push([one]) for one in stream]
     times_s = np.concatenate([block.time_s for block in taken])
     np.testing.assert_array_equal(times_s, [time_s for time_s, _ in valid])

@@ -1,8 +1,8 @@
 """Boards that run a public sketch and print text: what calrig needs to know of one, as a record.
 
 The facts come from the sketches' own sources (repository and path in `source`). Serial.print gives a float
-two decimals, so a line's form is known to the character; println ends it CR LF. Each folder next to this file
-has one record, which `board_device` turns into a device; `sketch_board` is the driver of all of them.
+two decimals, so a line's form is known to the character; println ends it CR LF. `public_sketches` has one
+record of each, which `board_device` turns into a device; `sketch_board` is the driver of all of them.
 """
 
 from __future__ import annotations
