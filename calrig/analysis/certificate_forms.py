@@ -11,7 +11,7 @@ from pathlib import Path
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.pdf import Attached, pdf_of
 from calrig.export.dcc.document import dcc_of
-from calrig.export.dcc.signing import signed
+from calrig.export.signing import signed_dcc
 from calrig.figures.svg import residual_steps, svg_of
 from calrig.laboratory import LaboratorySettings
 
@@ -36,7 +36,7 @@ def forms_of(said: Certificate, document: bytes, laboratory: LaboratorySettings,
     """
     dcc = dcc_of(said, document, laboratory.country)
     if laboratory.signing_key is not None and laboratory.signing_certificate is not None:
-        dcc = signed(dcc, Path(laboratory.signing_key), Path(laboratory.signing_certificate))
+        dcc = signed_dcc(dcc, Path(laboratory.signing_key), Path(laboratory.signing_certificate))
     if not printed:
         return Forms(dcc)
     found = said.residuals

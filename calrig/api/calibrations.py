@@ -201,7 +201,7 @@ def _preview(
 ) -> Response:
     from calrig.analysis.certificates import certificate_dcc, certificate_pdf
     from calrig.export.certificate.pdf import RendererMissingError
-    from calrig.export.dcc.signing import SignerMissingError
+    from calrig.export.signing import SignerMissingError
 
     name = f"preview-{found.sha256[:12]}-{found.revision}"
     try:

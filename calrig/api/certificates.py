@@ -59,7 +59,7 @@ def issue(unit: KnownUnit, body: NewCertificate, context: Context, heavy: Heavy,
     409 for a draft. Without what makes PDFs there is none, and `sha256.pdf` is null.
     """
     from calrig.analysis.certificates import issue_certificate
-    from calrig.export.dcc.signing import SignerMissingError
+    from calrig.export.signing import SignerMissingError
 
     try:
         return issue_certificate(

@@ -120,7 +120,7 @@ def samples(
     name = f"run-{run.id}-samples" if pose is None else f"run-{run.id}-pose-{pose}-samples"
     if format == "npz":
         packed = write_samples_npz(context.store.samples.of(run.id, pose))
-        return _file(packed, "application/octet-stream", f"{name}.npz")
+        return Response(packed, media_type="application/octet-stream", headers=_named(f"{name}.npz"))
     return _streamed(write_samples_csv(context.store.samples.blocks_of(run.id, pose)), CSV, f"{name}.csv")
 
 
@@ -134,10 +134,6 @@ def samples(
 def transcript(run: KnownRun, context: Context) -> str:
     """The last minute of each port, one transcript after the other; empty of a run that did not fail."""
     return "".join(context.store.events.transcripts(run.id).values())
-
-
-def _file(content: str | bytes, media_type: str, name: str) -> Response:
-    return Response(content, media_type=media_type, headers=_named(name))
 
 
 def _named(name: str) -> dict[str, str]:

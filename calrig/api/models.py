@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from calrig.model.base import Model
 from calrig.model.plan import Plan
-from calrig.model.run import Run
+from calrig.model.run import PoseColumns, Run
 from calrig.model.verdict import Verdict
 
 
@@ -90,7 +90,7 @@ class RunList(Model):
     next_cursor: str | None
 
 
-class PoseAnswer(BaseModel):
+class PoseAnswer(PoseColumns):
     """A pose: CONTRACT section 4's columns, covariates beside them, and whether it counts."""
 
     model_config = ConfigDict(extra="allow")
@@ -98,21 +98,8 @@ class PoseAnswer(BaseModel):
 
     index: int
     excluded: str | None = Field(description="Why the pose does not count; null where it does.")
-    target_deg: float
-    reading_deg: float
     sweep: int | None = Field(alias="pass")
     approach: Literal[-1, 0, 1] | None
-    time_s: float | None
-    temperature_c: float | None
-    stage_deg: float | None
-    reading_std_deg: float | None
-    reading_stderr_deg: float | None
-    n_samples: int | None
-    accel_x_g: float | None
-    accel_y_g: float | None
-    accel_z_g: float | None
-    gyro_move_deg: float | None
-    settle_s: float | None
     gyro_x_dps: float | None = Field(description="Mean over the dwell, as of the other two axes.")
     gyro_y_dps: float | None
     gyro_z_dps: float | None

@@ -12,7 +12,7 @@ import typer
 
 import calrig
 from calrig.cli.exit_status import Listed
-from calrig.cli.options import Config, Record
+from calrig.cli.options import Config, LogFormat, Record
 from calrig.cli.start import loaded
 from calrig.errors import InputError, WorkError
 
@@ -54,10 +54,7 @@ def agent(
     ] = None,
     host: Annotated[str, typer.Option(metavar="H", help="Address that the page listens on.")] = "127.0.0.1",
     record: Record = None,
-    log_format: Annotated[
-        str | None,
-        typer.Option(metavar="text|json", help="Format of the log on standard error [CALRIG_LOG]."),
-    ] = None,
+    log_format: LogFormat = None,
 ) -> None:
     """Carry out the runs of this machine's rigs for a centre.
 

@@ -104,6 +104,9 @@ Record = Annotated[
     Path | None,
     typer.Option("--record", metavar="DIR", help="Record every byte on the wires in this folder."),
 ]
+LogFormat = Annotated[
+    str | None, typer.Option(metavar="text|json", help="Format of the log on standard error [CALRIG_LOG].")
+]
 Rig = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Rig; without it the first one configured.", autocompletion=rigs),

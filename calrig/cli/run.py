@@ -90,10 +90,6 @@ def refuse_own_rigs(command: str, there: Client, config: str | None, record: Pat
             )
 
 
-if TYPE_CHECKING:
-    from calrig.client import Client
-
-
 def resume(
     run_id: RunId,
     stage_at: StageAt = None,

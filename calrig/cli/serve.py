@@ -11,7 +11,7 @@ import typer
 
 import calrig
 from calrig.cli.input_files import in_utf8
-from calrig.cli.options import Config, Db, Record
+from calrig.cli.options import Config, Db, LogFormat, Record
 from calrig.cli.start import loaded
 
 if TYPE_CHECKING:
@@ -30,10 +30,7 @@ def serve(
     host: Annotated[str, typer.Option(metavar="H", help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port; 0: any free one.")] = 8000,
     record: Record = None,
-    log_format: Annotated[
-        str | None,
-        typer.Option(metavar="text|json", help="Format of the log on standard error [CALRIG_LOG]."),
-    ] = None,
+    log_format: LogFormat = None,
     db: Db = None,
     config: Config = None,
 ) -> None:

@@ -151,7 +151,6 @@ def _answer(asked: SolutionInputs, *, is_drawn: bool) -> Solved:
     from calrig.analysis.solutions import answer
     from calrig.calibration.poses import DiagnosisError
     from calrig.calibration.separation import are_whole
-    from calrig.cli.progress import late_bar
 
     if is_drawn and are_whole(asked.lots):
         raise InputError(NOT_DRAWN)

@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Any, Literal
 
-from pydantic import Field, computed_field
+from pydantic import BaseModel, Field, computed_field
 
 from calrig.model.base import Model
 from calrig.model.result import Result
@@ -81,3 +81,21 @@ class Run(Model):
     def held(self) -> bool:
         """Whether the queued run begins only once a person resumes it."""
         return self.status == "queued" and (self.error or "").endswith(UNTIL_GO)
+
+
+class PoseColumns(BaseModel):
+    """Columns of a pose as stored and as answered (CONTRACT section 4), but for its sweep and approach."""
+
+    target_deg: float
+    reading_deg: float
+    time_s: float | None
+    temperature_c: float | None
+    stage_deg: float | None
+    reading_std_deg: float | None
+    reading_stderr_deg: float | None
+    n_samples: int | None
+    accel_x_g: float | None
+    accel_y_g: float | None
+    accel_z_g: float | None
+    gyro_move_deg: float | None
+    settle_s: float | None

@@ -85,7 +85,9 @@ class AcceptedEffects(Repository):
                 if one.name in names:
                     one.withdrawn_at = now
             if run.diagnosis is not None:
-                run.diagnosis = _unmarked(run.diagnosis, names)
+                found = run.diagnosis["effects"]
+                effects = [{**e, "accepted_at": None} if e["name"] in names else e for e in found]
+                run.diagnosis = {**run.diagnosis, "effects": effects}
             _replace_joint(session, run.unit, joint, now)
             append(session, act_on("taken_back", run, who, reason, effects=list(dict.fromkeys(names))), now)
 
@@ -219,12 +221,6 @@ def _marked(diagnosis: Document, accepted: Sequence[AcceptedEffect], now: dateti
         is_one = any((one.name, one.parameters) == (effect["name"], values) for one in accepted)
         marked.append({**effect, "accepted_at": at} if is_one else effect)
     return {**diagnosis, "effects": marked}
-
-
-def _unmarked(diagnosis: Document, names: Sequence[str]) -> Document:
-    """The diagnosis without a word of their acceptance."""
-    effects = [{**e, "accepted_at": None} if e["name"] in names else e for e in diagnosis["effects"]]
-    return {**diagnosis, "effects": effects}
 
 
 def accepted_from(session: Session, run: RunTable) -> Sequence[AcceptedEffectTable]:

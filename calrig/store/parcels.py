@@ -162,7 +162,8 @@ def next_parcels(session: Session, run: RunTable, epoch: int, before: Delivered)
         del events[EVENTS_A_PARCEL:]
         after = replace(before, event_seq=events[-1].seq)
         return [wrap.parcel(wrap.run_before(events, after), after, events)]
-    end = events.pop() if events and _is_end(events[-1]) else None
+    has_end = bool(events) and events[-1].type == "state" and events[-1].data["status"] in TERMINAL
+    end = events.pop() if has_end else None
     parcels, after = [], before
     if events:
         after = replace(after, event_seq=events[-1].seq)
@@ -213,10 +214,6 @@ def _blocks_after(
     some = numbers[: max(1, min(BLOCKS_AT_ONCE, fitting))]
     blocks = session.exec(select(SampleBlockTable).where(number.in_(some)).order_by(number)).all()
     return blocks, len(some) == len(numbers)
-
-
-def _is_end(event: EventTable) -> bool:
-    return event.type == "state" and event.data["status"] in TERMINAL
 
 
 class _Wrapping:
@@ -374,7 +371,10 @@ class Spool(Repository):
             row = run_row(session, run_id)
             order, before = session.get(TakenOrderTable, run_id), session.get(DeliveryTable, run_id)
             epoch = 1 if order is None else order.epoch  # a run begun here counts as the first order of it
-            return next_parcels(session, row, epoch, Delivered() if before is None else _delivered(before))
+            if before is None:
+                return next_parcels(session, row, epoch, Delivered())
+            so_far = Delivered(before.event_seq, before.sample_block_id, before.is_complete)
+            return next_parcels(session, row, epoch, so_far)
 
     def mark_delivered(self, parcels: Sequence[Parcel]) -> None:
         """Keeps that the centre has these, which are all that lay before the last one of each run."""
@@ -415,7 +415,3 @@ def _open_runs(session: Session) -> list[_OpenRun]:
         .where(or_(col(DeliveryTable.run_uid).is_(None), col(DeliveryTable.is_complete).is_(False)))
     )
     return sorted(_OpenRun(*row) for row in session.exec(wanted))
-
-
-def _delivered(row: DeliveryTable) -> Delivered:
-    return Delivered(row.event_seq, row.sample_block_id, row.is_complete)

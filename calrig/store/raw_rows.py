@@ -114,15 +114,11 @@ _KINDS: tuple[tuple[type | tuple[type, ...], _Kind], ...] = (
 )
 
 
-def _kind_of(column: Column[Any]) -> _Kind:
-    return next(kind for types, kind in _KINDS if isinstance(column.type, types))
-
-
 def _as_kept(
     table: Table, column: Column[Any], values: Sequence[Any], piece: Sequence[Sequence[Any]]
 ) -> Sequence[Any]:
     """A column of a piece, as every engine keeps it."""
-    kind = _kind_of(column)
+    kind = next(kind for types, kind in _KINDS if isinstance(column.type, types))
     if not kind.of.issuperset(map(type, values)):
         at = next(k for k, value in enumerate(values) if type(value) not in kind.of)
         raise Unreadable(

@@ -11,6 +11,7 @@ from typing import Any
 from sqlalchemy import BigInteger, Dialect, ForeignKeyConstraint, Integer, String, TypeDecorator, text
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
+from calrig.model.run import PoseColumns
 from calrig.model.verdict import Figures
 from calrig.store.checksums import CheckedJson
 from calrig.store.errors import Unreadable
@@ -139,28 +140,15 @@ class VerdictFiguresTable(Figures, SQLModel, table=True):
     relied_on: bool | None = None
 
 
-class PoseTable(SQLModel, table=True):
+class PoseTable(PoseColumns, SQLModel, table=True):
     """A pose: CONTRACT section 4's columns, `pass` as `sweep`."""
 
     __tablename__ = "pose"
 
     run_id: int = Field(primary_key=True, foreign_key="run.id")
     pose_index: int = Field(primary_key=True)
-    target_deg: float
-    reading_deg: float
     sweep: int | None
     approach: int | None
-    time_s: float | None
-    temperature_c: float | None
-    stage_deg: float | None
-    reading_std_deg: float | None
-    reading_stderr_deg: float | None
-    n_samples: int | None
-    accel_x_g: float | None
-    accel_y_g: float | None
-    accel_z_g: float | None
-    gyro_move_deg: float | None
-    settle_s: float | None
     covariates: dict[str, Any] = Field(sa_type=CheckedJson)
     excluded_reason: str | None = None
     excluded_at: datetime | None = Field(default=None, sa_type=UtcText)

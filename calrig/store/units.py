@@ -186,8 +186,11 @@ class Items(Repository):
         """What was said of a unit last; with a day, of those received by then. None where nobody did."""
         wanted = select(ItemTable).where(ItemTable.unit == unit).order_by(col(ItemTable.id).desc())
         with self._database.reading() as session:
-            said = (CalibrationItem.model_validate(row.document) for row in session.exec(wanted))
-            return next((one for one in said if not _came_after(one, day)), None)
+            for row in session.exec(wanted):
+                item = CalibrationItem.model_validate(row.document)
+                if day is None or item.received_at is None or item.received_at <= day:
+                    return item
+        return None
 
     def add(self, unit: str, item: CalibrationItem, *, who: str | None) -> None:
         """Adds what somebody says of a unit, and puts it into the trail.
@@ -201,7 +204,3 @@ class Items(Repository):
             said = item.model_dump(mode="json")
             session.add(ItemTable(unit=unit, document=said, at=datetime.now(UTC)))
             append(session, Act("item_changed", who=who, unit=unit, detail=said))
-
-
-def _came_after(item: CalibrationItem, day: date | None) -> bool:
-    return day is not None and item.received_at is not None and item.received_at > day

@@ -15,7 +15,7 @@ from calrig.errors import WorkError
 from calrig.export.certificate.content import Quantity
 from calrig.export.dcc.document import dcc_of
 from calrig.export.dcc.elements import UNITS, quantity
-from calrig.export.dcc.signing import signed
+from calrig.export.signing import signed_dcc
 
 NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 
@@ -105,7 +105,7 @@ def test_a_signed_dcc_is_valid_and_any_change_breaks_its_signature(errors_in, ke
     from signxml.verifier import XMLVerifier
 
     (key, certificate), (_, other) = keys
-    xml = signed(dcc_of(*random_certificate(random.Random(3))), key, certificate)
+    xml = signed_dcc(dcc_of(*random_certificate(random.Random(3))), key, certificate)
     assert errors_in(xml) == []
     verified = XMLVerifier().verify(xml, x509_cert=certificate.read_text())
     assert verified.signed_xml.tag == "{https://ptb.de/dcc}digitalCalibrationCertificate"
@@ -117,9 +117,9 @@ def test_a_signed_dcc_is_valid_and_any_change_breaks_its_signature(errors_in, ke
         with pytest.raises(InvalidSignature):
             XMLVerifier().verify(forged, x509_cert=certificate.read_text())
     with pytest.raises(WorkError, match="cannot be signed with"):
-        signed(dcc_of(*random_certificate(random.Random(3))), key, other)
+        signed_dcc(dcc_of(*random_certificate(random.Random(3))), key, other)
     with pytest.raises(WorkError, match=r"absent\.key: cannot be read"):
-        signed(b"", key.with_name("absent.key"), certificate)
+        signed_dcc(b"", key.with_name("absent.key"), certificate)
 
 
 METRE, SECOND, DEGREE, KELVIN = "metre", "second", "degree", "kelvin"

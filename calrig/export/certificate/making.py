@@ -229,6 +229,8 @@ def certificate_of(sources: Sources, issue: Issue | None = None) -> Certificate:
     measured = Measured(counted, document, came_with, sources.of_stage)
     budget = budget_of(document, reference, freedom)
     released = next((one for one in reversed(sources.entries) if one.act.what == "released"), None)
+    last = sources.entries[-1] if sources.entries else None
+    mark = None if last is None else TrailMark(last.seq, last.at, last.act.what, last.act.who, last.sha256)
     made = Certificate(
         number="",
         issue=issue,
@@ -268,7 +270,7 @@ def certificate_of(sources: Sources, issue: Issue | None = None) -> Certificate:
             at_other_mounts=len(kept) - len(counted),
         ),
         software=wording.software(calrig.__version__),
-        trail=_mark(sources.entries[-1]) if sources.entries else None,
+        trail=mark,
         statements=wording.STATEMENTS,
         document=wording.flattened(document),
     )
@@ -395,7 +397,3 @@ def _replaced(revision: Revision, before: Revision | None) -> Replaced | None:
         return None
     is_same_run = before.run_id == revision.run_id
     return Replaced(before.revision, before.sha256, before.issued_at, is_same_run, revision.reason)
-
-
-def _mark(entry: Entry) -> TrailMark:
-    return TrailMark(entry.seq, entry.at, entry.act.what, entry.act.who, entry.sha256)

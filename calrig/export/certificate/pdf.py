@@ -14,7 +14,7 @@ from typing import Literal
 from calrig.errors import WorkError
 from calrig.export.certificate.content import Certificate
 from calrig.export.certificate.sheet import sheet_of
-from calrig.export.certificate.signing import signed_pdf
+from calrig.export.signing import signed_pdf
 from calrig.laboratory import LaboratorySettings
 
 STANDARD: Literal["a-3b"] = "a-3b"

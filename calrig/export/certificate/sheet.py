@@ -273,13 +273,18 @@ def sheet_of(said: Certificate) -> Sheet:
     stamps += [STAMPS[said.status]] if said.status in STAMPS else []
     stamps += ["NOT TO BE RELIED ON: what it rests on counts no more"] if said.gone else []
     laboratory = said.laboratory
+    authorised = f"Authorised by: {stated(said.authorised_by)}. {said.in_force_by}"
     return Sheet(
         title=TITLES[said.kind],
         number=said.number,
         running=f"Certificate {said.number}",
         stamp=" · ".join(stamps) or None,
-        laboratory=(f"Laboratory: {stated(laboratory.name)}", *_lines(laboratory.address, laboratory.place))
-        + ((laboratory.accreditation,) if laboratory.accreditation else ()),
+        laboratory=(
+            f"Laboratory: {stated(laboratory.name)}",
+            f"Address: {stated(laboratory.address)}",
+            f"Place of calibration: {laboratory.place or stated(laboratory.address)}",
+            *filter(None, [laboratory.accreditation]),
+        ),
         sections=(
             Section("Item", (_item(said), *_supplied(said))),
             Section("Calibration", (_dates(said),)),
@@ -292,7 +297,7 @@ def sheet_of(said: Certificate) -> Sheet:
             Section("Traceability", tuple(_traceability(said))),
             Section("Deviations and amendments", _deviations(said)),
             Section("Records", _records(said)),
-            Section("Statements", (paragraphs((*said.statements, _authorised(said))),)),
+            Section("Statements", (paragraphs((*said.statements, authorised)),)),
             Section("Annex: the calibration document as issued", _annex(said)),
         ),
         end=f"End of certificate {said.number}",
@@ -304,10 +309,6 @@ def moment(when: datetime | date | None) -> str:
     if when is None:
         return NOT_STATED
     return f"{when:%Y-%m-%d %H:%M} UTC" if isinstance(when, datetime) else f"{when:%Y-%m-%d}"
-
-
-def _lines(address: str | None, place: str | None) -> tuple[str, ...]:
-    return (f"Address: {stated(address)}", f"Place of calibration: {place or stated(address)}")
 
 
 def _item(said: Certificate) -> Block:
@@ -450,10 +451,6 @@ def _records(said: Certificate) -> tuple[Block, ...]:
             f"{said.issue.trail_seq}, SHA-256 {said.issue.trail_sha256}"
         )
     return (paragraphs([*lines, *said.software]),)
-
-
-def _authorised(said: Certificate) -> str:
-    return f"Authorised by: {stated(said.authorised_by)}. {said.in_force_by}"
 
 
 def _annex(said: Certificate) -> tuple[Block, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calrig.instruments.device import Identity, Probe, StageDevice
@@ -21,14 +20,6 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Esp301:
     return Esp301.open(url, axis=axis, baudrate=baudrate)
 
 
-def _matches(line: str) -> bool:
-    return VERSION.fullmatch(line) is not None
-
-
-def _identity(lines: Sequence[str]) -> Identity:
-    return Identity(lines[0].strip())
-
-
 DEVICE = StageDevice(
     driver="esp301",
     title="Newport ESP301",
@@ -42,7 +33,7 @@ DEVICE = StageDevice(
             harmless="asks for its version, the second time with nothing before it; others know no VE?",
         ),
     ),
-    matches=_matches,
-    identity=_identity,
+    matches=lambda line: VERSION.fullmatch(line) is not None,
+    identity=lambda lines: Identity(lines[0].strip()),
     version_query=b"",
 )

@@ -22,10 +22,6 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Smc100:
     return Smc100.open(url, axis=axis, baudrate=baudrate)
 
 
-def _matches(line: str) -> bool:
-    return bool(LIMIT.fullmatch(line) or VERSION.fullmatch(line))
-
-
 def _identity(lines: Sequence[str]) -> Identity:
     versions = [reply[1].strip() for line in lines if (reply := VERSION.fullmatch(line))]
     return Identity(versions[0] if versions else "at address 1", 1)
@@ -44,7 +40,7 @@ DEVICE = StageDevice(
             harmless="asks for its lower limit, the second time with nothing before it; others know no SL",
         ),
     ),
-    matches=_matches,
+    matches=lambda line: bool(LIMIT.fullmatch(line) or VERSION.fullmatch(line)),
     identity=_identity,
     version_query=b"1VE\r\n",
 )

@@ -21,10 +21,6 @@ def _open(url: str, *, axis: int, baudrate: int | None) -> Zaber:
     return Zaber.open(url, axis=axis, baudrate=baudrate)
 
 
-def _matches(line: str) -> bool:
-    return REPLY.fullmatch(line) is not None
-
-
 def _identity(lines: Sequence[str]) -> Identity:
     replies = [reply for line in lines if (reply := REPLY.fullmatch(line))]
     first = int(replies[0][1])
@@ -50,7 +46,7 @@ DEVICE = StageDevice(
             "GRBL drops the `/`, and an empty line is none",
         ),
     ),
-    matches=_matches,
+    matches=lambda line: REPLY.fullmatch(line) is not None,
     identity=_identity,
     version_query=b"/get version\n",
 )
