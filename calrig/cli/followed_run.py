@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 
 
 class FollowedRun:
-    """A run of a client's service; `calrig.cli.progress.Followed` has what each part is."""
+    """A run of a client's service that this terminal has begun, and answers for, or looks at.
+
+    Attributes:
+        status, progress: as last heard.
+        is_over: whether nobody carries it out any more and all that happened was told.
+        has_clamp: whether the rig can turn the unit by itself.
+    """
 
     def __init__(self, client: Client, run: Run) -> None:
         record = run.record
@@ -36,7 +42,7 @@ class FollowedRun:
         threading.Thread(target=self._listen, name=f"events of {run.id}", daemon=True).start()
 
     def news(self) -> Sequence[RunEvent | Notice]:
-        """Events since the last look."""
+        """Events since the last look; waits for `LOOK_S` at most."""
         events: list[RunEvent | Notice] = []
         try:
             heard = self._heard.get(timeout=LOOK_S)
@@ -54,7 +60,7 @@ class FollowedRun:
         return events
 
     def abort(self) -> None:
-        """Ends it."""
+        """Ends it; Refusal where it has just ended, or its stage was not seen to stand."""
         try:
             with _refusals():
                 self._run.abort()
@@ -64,12 +70,12 @@ class FollowedRun:
             ) from error
 
     def resume(self) -> None:
-        """Goes on."""
+        """Goes on; Refusal where the unit is not turned as it should be."""
         with _refusals():
             self._run.resume()
 
     def turn(self, wanted: Mount) -> None:
-        """Has the rig's clamp rotate the unit."""
+        """Has the rig's clamp rotate the unit; Refusal where it cannot."""
         with _refusals():
             self._client.post(
                 f"/api/rigs/{quote(str(self._rig), safe='')}/clamp",

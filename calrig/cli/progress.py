@@ -9,11 +9,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Console
@@ -29,7 +29,11 @@ from rich.progress import Progress as Bar
 from calrig.errors import WorkError, printable
 
 if TYPE_CHECKING:
-    from calrig.model.run import Mount, Progress
+    from calrig.cli.followed_run import FollowedRun
+    from calrig.cli.watch import RunElsewhere
+    from calrig.client import RunEvent
+    from calrig.model.run import Mount
+    from calrig.store import Event
 
 PATIENCE_S = 2.0
 """What takes no longer needs no bar."""
@@ -46,7 +50,7 @@ SHORT = 24
 
 
 @contextmanager
-def run_bar(run: Watched, unit: str) -> Iterator[Callable[[Happened], None]]:
+def run_bar(run: FollowedRun | RunElsewhere, unit: str) -> Iterator[Callable[[Happened], None]]:
     """A run's progress: poses, elevation, time left. Gives what is to be told each of the run's events."""
     console = Console(stderr=True)
     named, is_long = printable(unit), len(unit) > SHORT
@@ -137,18 +141,6 @@ LOOK_S = 0.1
 """How often a run is looked at when nothing is heard of it, and how soon a Ctrl-C is seen."""
 
 
-class Happened(Protocol):
-    """An event of the run's log: `state`, `progress`, `pose`, `reading`."""
-
-    @property
-    def type(self) -> str:
-        """What kind of."""
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """CONTRACT section 2."""
-
-
 @dataclass(frozen=True, slots=True)
 class Notice:
     """Something to be said beside the run's own events."""
@@ -166,45 +158,9 @@ class Refusal(Exception):  # noqa: N818 (read as words: raise Refusal)
     """The run cannot do what was asked of it now; says why."""
 
 
-class Watched(Protocol):
-    """A run that is looked at.
-
-    Attributes:
-        id: its id.
-        status: as last heard.
-        progress: likewise.
-        is_over: whether nobody carries it out any more and all that happened was told.
-    """
-
-    id: str
-    status: str
-    progress: Progress
-    is_over: bool
-
-    def news(self) -> Sequence[Happened]:
-        """What happened since the last look; waits for `LOOK_S` at most."""
-
-    def document(self) -> object:
-        """The run as the API gives it."""
-
-
-class Followed(Watched, Protocol):
-    """A run that this terminal has begun, and answers for.
-
-    Attributes:
-        has_clamp: whether the rig can turn the unit by itself.
-    """
-
-    has_clamp: bool
-
-    def abort(self) -> None:
-        """Ends it; Refusal where it has just ended, or its stage was not seen to stand."""
-
-    def resume(self) -> None:
-        """Goes on; Refusal where the unit is not turned as it should be."""
-
-    def turn(self, wanted: Mount) -> None:
-        """Has the rig's clamp rotate the unit; Refusal where it cannot."""
+if TYPE_CHECKING:
+    Happened = RunEvent | Event | Notice
+    """An event of the run's log, `state`, `progress`, `pose`, `reading`, or something to be said beside."""
 
 
 class StopRequest:
@@ -232,10 +188,10 @@ def stop_request() -> Iterator[StopRequest]:
 
 
 def follow(
-    run: Followed,
+    run: FollowedRun,
     asked: StopRequest,
     show: Callable[[Happened], None],
-    look: Callable[[Followed], None],
+    look: Callable[[FollowedRun], None],
 ) -> None:
     """Shows what happens in a run until it has ended, aborting it once that is asked for.
 
@@ -258,7 +214,7 @@ def follow(
             look(run)
 
 
-def carry_out(begin: Callable[[], Followed], unit: str, *, as_json: bool) -> None:
+def carry_out(begin: Callable[[], FollowedRun], unit: str, *, as_json: bool) -> None:
     """Follows a run on the terminal, asks for what it waits for, and prints how it ended.
 
     `begin` starts it; a Ctrl-C during the start aborts the run once it has started. With `as_json` its
@@ -310,7 +266,7 @@ class MountPrompt:
         self._asked: Mount | None = None
         self._is_reading = False
 
-    def look(self, run: Followed) -> None:
+    def look(self, run: FollowedRun) -> None:
         """Asks where the run waits and has not been asked about; passes an answer on that has come.
 
         Raises:
@@ -345,7 +301,7 @@ class MountPrompt:
             self._is_reading = True
             threading.Thread(target=lambda: self._lines.put(sys.stdin.readline()), daemon=True).start()
 
-    def _go(self, run: Followed, wanted: Mount, line: str) -> None:
+    def _go(self, run: FollowedRun, wanted: Mount, line: str) -> None:
         try:
             if line == BY_CLAMP and run.has_clamp:
                 run.turn(wanted)

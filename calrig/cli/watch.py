@@ -15,7 +15,8 @@ from calrig.cli.running_service import running_service, whole_id_there
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
-    from calrig.cli.progress import Happened, Watched
+    from calrig.cli.followed_run import FollowedRun
+    from calrig.cli.progress import Happened
     from calrig.store import Event, Run, Store
 
 RunId = Annotated[
@@ -45,7 +46,7 @@ def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = 
 
 
 class RunElsewhere:
-    """A run that another program carries out into the same file; as `calrig.cli.progress.Watched`.
+    """A run that another program carries out into the same file; attributes as of a `FollowedRun`.
 
     `is_written` tells whether a program writes to that file.
     """
@@ -96,7 +97,7 @@ def _is_written(url: str) -> Callable[[], bool]:
     return lambda: is_centre(url) or living_writer(database_path(url)) is not None
 
 
-def _watch(run: Watched, unit: str, *, as_json: bool) -> None:
+def _watch(run: FollowedRun | RunElsewhere, unit: str, *, as_json: bool) -> None:
     from calrig.cli.progress import print_end, run_bar
 
     try:
