@@ -156,10 +156,7 @@ def _channel(one: ChannelNoise) -> dict[str, Any]:
             kind: None if (found := getattr(one.coefficients, kind)) is None else asdict(found)
             for kind in COEFFICIENTS
         },
-        "lines": [
-            {"frequency_hz": line.frequency_hz, "amplitude": line.amplitude, "p_value": line.p_value}
-            for line in one.lines
-        ],
+        "lines": [asdict(line) for line in one.lines],
         "distribution": {
             "gaussian": spread.gaussian,
             "p_value": spread.p_value,
@@ -167,7 +164,5 @@ def _channel(one: ChannelNoise) -> dict[str, Any]:
             "kurtosis": spread.kurtosis,
             "outliers": spread.outliers,
         },
-        "temperature": None
-        if one.temperature is None
-        else {"per_c": one.temperature.per_c, "std": one.temperature.std},
+        "temperature": None if one.temperature is None else asdict(one.temperature),
     }

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -197,13 +197,7 @@ def differences(
         NotRefitted: something that the fit needs is not there.
     """
     _require_known(document)
-    filtering = filtering_of(run["provenance"], run["plan"])
-    excluded = set(basis["excluded"])
-    counted = [
-        replace(pose, filtering=filtering)
-        for pose, index in zip(poses, indices, strict=True)
-        if index not in excluded
-    ]
+    counted = _counted(run, poses, indices, basis["excluded"])
     if not counted:
         raise NotRefitted("its run has no poses here")
     accepted = _accepted(basis, effects)
@@ -259,13 +253,7 @@ def solution_differences(
         axis = str((run["plan"] or run["provenance"]).get("mount_axis", "x"))
         if axis != "x":
             raise NotRefitted("its joint solution is of units clamped by several faces")
-        excluded = {int(index) for index in run["poses"]["excluded"]}
-        filtering = filtering_of(run["provenance"], run["plan"])
-        counted = [
-            replace(pose, filtering=filtering)
-            for pose, index in zip(poses, indices, strict=True)
-            if index not in excluded
-        ]
+        counted = _counted(run, poses, indices, map(int, run["poses"]["excluded"]))
         planned_deg = plan.get("mounts_deg") or [0.0]
         lots += MountedPoses.of_run(
             counted, unit=run["unit"], run_id=run_id, name=run_id, axis=axis, planned_deg=planned_deg
@@ -279,6 +267,18 @@ def solution_differences(
         )
         again = unit_documents(solution, basis["frame"], basis["rig"])[document["unit"]]
     yield from _unlike(document, again, SOLVED)
+
+
+def _counted(
+    run: Document, poses: Sequence[Pose], indices: Sequence[int], excluded: Iterable[int]
+) -> list[Pose]:
+    """Poses of a run but those excluded, filtered as its plan says."""
+    filtering, out = filtering_of(run["provenance"], run["plan"]), set(excluded)
+    return [
+        replace(pose, filtering=filtering)
+        for pose, index in zip(poses, indices, strict=True)
+        if index not in out
+    ]
 
 
 def _unlike(document: Document, again: Document, tolerance: Tolerance) -> Iterator[str]:
