@@ -480,10 +480,14 @@ def _print_effect(effect: EffectFound) -> None:
     """Print an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effects import EFFECTS, covariate_of
     from calrig.calibration.regression import ORIGINS
+    from calrig.calibration.uncertainty.verdict import SAME_EFFECT
 
     known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
     titles = [known.title_of(effect.origin)]
-    titles += [EFFECTS[rival].title_of(effect.origin) for rival in effect.confusable_with]
+    titles += [
+        SAME_EFFECT if rival == effect.name else EFFECTS[rival].title_of(effect.origin)
+        for rival in effect.confusable_with
+    ]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     between = f", changed from run {changed.from_} to run {changed.to}" if changed else ""
     heading = f"{', or '.join(titles)}{between}"
