@@ -480,7 +480,7 @@ def _print_effect(effect: EffectFound) -> None:
     """Print an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effects import EFFECTS, covariate_of
     from calrig.calibration.regression import ORIGINS
-    from calrig.calibration.uncertainty.verdict import SAME_EFFECT
+    from calrig.calibration.uncertainty import SAME_EFFECT
 
     known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
     titles = [known.title_of(effect.origin)]
