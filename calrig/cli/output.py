@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calrig.errors import printable
-from calrig.estimation.angle_text import SMALL_DEG, angle_text
+from calrig.estimation.angle_text import SMALL_DEG, angle_text, number_text
 from calrig.run_ids import short_name
 
 if TYPE_CHECKING:
@@ -119,11 +119,11 @@ def _as_list(
 def print_parameter(title: str, parameter: Mapping[str, Any] | Model | None, unit: str = "") -> None:
     """Prints a parameter with its standard error; one that does not apply is left out."""
     if parameter is not None:
-        if unit == "°":
-            print_line(f"  {title} = {angle_text(parameter['value'], 4, parameter['std'])}")
-            return
-        std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
-        print_line(f"  {title} = {parameter['value']:.4g}{std}{unit and f' {unit}'}")
+        value, std = parameter["value"], parameter["std"]
+        written = (
+            angle_text(value, 4, std) if unit == "°" else number_text(value, std, 4, unit and f" {unit}")
+        )
+        print_line(f"  {title} = {written}")
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
