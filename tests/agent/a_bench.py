@@ -239,7 +239,7 @@ def hand_written(url: str) -> Iterator[HandWritten]:
 
 
 class Cable:
-    """A TCP connection to the server that a test cuts and mends, or that acknowledges and passes nothing on."""
+    """A TCP connection to the server that a test cuts and mends, or that passes nothing on any more."""
 
     def __init__(self, url: str) -> None:
         self._server = str(make_url(url).query["host"]) + "/.s.PGSQL.5432"

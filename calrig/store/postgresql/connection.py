@@ -1,7 +1,7 @@
 """Connection to PostgreSQL that is closed where the server is silent, whatever acknowledges what is sent.
 
-TCP notices a server or a cable that has gone. It does not notice a proxy or a NAT that acknowledges everything
-and passes nothing on, nor can the server's own time-outs end what waits for its answer here.
+TCP detects a server or a cable that has gone, but no proxy or NAT that acknowledges everything and passes
+nothing on. The server's own time-outs cannot end a client's wait for an answer that does not arrive.
 """
 
 from __future__ import annotations
