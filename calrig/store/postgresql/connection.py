@@ -11,6 +11,7 @@ from collections.abc import Generator
 from typing import Any
 
 import psycopg
+import sqlalchemy
 
 CONNECT_S = 5
 ALIVE: dict[str, Any] = {
@@ -26,6 +27,8 @@ SILENT_S = 30.0
 """The longest that a statement may leave the server silent, but for those that rewrite tables."""
 PING_S = 5.0
 """The longest silence of a server that has nothing to do but answer."""
+REWRITES_S = 600.0
+"""The longest silence of a server that moves a store, or brings its tables up to date."""
 
 
 class Connection(psycopg.Connection[Any]):
@@ -64,3 +67,10 @@ def connect(url: str, silent_s: float, **options: Any) -> Connection:
     connection = Connection.connect(url, autocommit=True, **{**ALIVE, **options})
     connection.silent_s = silent_s
     return connection
+
+
+def wait_long(connection: sqlalchemy.Connection) -> None:
+    """Wait for statements that rewrite tables, until the pool has the connection again."""
+    driver = connection.connection.driver_connection
+    assert isinstance(driver, Connection)  # noqa: S101 (as the store's engine makes it)
+    driver.silent_s = REWRITES_S

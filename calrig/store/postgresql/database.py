@@ -29,8 +29,6 @@ ATTEMPTS = 10
 """At bringing a database up to date in which benches are at work."""
 HELD_S = 60
 """How long the server keeps a writer's turn for a client that says nothing."""
-REWRITES_S = 600.0
-"""The longest silence of a server that moves a store, or brings its tables up to date."""
 
 
 def url_of(url: str) -> URL:
@@ -111,7 +109,7 @@ class PostgresqlDatabase(Database):
         for left in reversed(range(ATTEMPTS)):
             try:
                 with self._engine.begin() as connection:
-                    _wait_long(connection)
+                    client.wait_long(connection)
                     self._bring_up(connection, head)
                 return
             except OperationalError as error:  # a bench was in the middle of a transaction
@@ -139,7 +137,7 @@ class PostgresqlDatabase(Database):
     def staging(self) -> Iterator[Connection]:
         """As `Database.staging`."""
         with self._in_words(), self._engine.connect() as connection:
-            _wait_long(connection)
+            client.wait_long(connection)
             connection.detach()  # it is closed in earnest
             yield connection
 
@@ -214,10 +212,3 @@ def _wait_for_a_ping(connection: client.Connection | None, _record: object) -> N
 
 def _wait_for_a_statement(connection: client.Connection, _record: object, _fairy: object) -> None:
     connection.silent_s = client.SILENT_S
-
-
-def _wait_long(connection: Connection) -> None:
-    """Wait for statements that rewrite tables, until the pool has the connection again."""
-    driver = connection.connection.driver_connection
-    assert isinstance(driver, client.Connection)  # noqa: S101 (as `_connect` makes it)
-    driver.silent_s = REWRITES_S
