@@ -9,11 +9,16 @@ from __future__ import annotations
 import asyncio
 import atexit
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
 from functools import cache
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from calrig.processes.pool import Processes
+
+if TYPE_CHECKING:
+    from calrig.analysis.fleet import Workers
 
 T = TypeVar("T")
 
@@ -65,6 +70,10 @@ class SharedProcesses(Processes):
             raise
         return tasks[0].result()
 
+    def submit(self, function: Callable[[], T]) -> Future[T]:
+        """Begins a piece for a thread that waits for several."""
+        return asyncio.run_coroutine_threadsafe(super().run(function), self._loop)
+
     async def close(self) -> None:
         """Leaves them to the next service."""
 
@@ -76,6 +85,15 @@ class SharedProcesses(Processes):
 def shared_processes() -> SharedProcesses:
     """Those of this test worker or trial: they end with it."""
     return SharedProcesses()
+
+
+@contextmanager
+def shared_workers() -> Iterator[Workers]:
+    """As `calrig.analysis.fleet.own_processes`, by those that are there already."""
+    from calrig.analysis.fleet import Workers
+
+    shared = shared_processes()
+    yield Workers(shared.submit, shared.slots, f"{shared.slots} processes")
 
 
 def in_shared_process(function: Callable[[], T]) -> T:

@@ -60,8 +60,9 @@ SELECT id, kind, rig, run_uid FROM claimed ORDER BY kind <> 'stop', kind <> 'abo
 _CLAIM_AGAIN = """
 UPDATE bench_command SET taken_at = NULL
 WHERE bench = %s AND kind = 'stop' AND taken_at IS NOT NULL AND answered_at IS NULL AND withdrawn_at IS NULL
+  AND id <> ALL(%s)
 """
-"""Stops that an agent took which died before it answered."""
+"""Stops that an agent took which died, or lost its connection, before it had them in hand."""
 _ANSWER = f"UPDATE bench_command SET answered_at = {NOW}, answer = %s WHERE id = %s AND bench = %s"  # noqa: S608
 
 
@@ -96,7 +97,7 @@ class Commands:
     ) -> None:
         self._heard, self._answers = heard, answers
         self._service, self._closing, self._look = service, closing, look
-        self._is_new = True
+        self._in_hand: set[int] = set()
 
     def run(self) -> None:
         """Listens until the agent is closed."""
@@ -109,9 +110,7 @@ class Commands:
 
     def _listen(self, centre: Centre) -> None:
         centre.connection.execute(f"LISTEN {COMMANDS}; LISTEN {ORDERS}")
-        if self._is_new:
-            centre.connection.execute(_CLAIM_AGAIN, (centre.bench,))
-            self._is_new = False
+        centre.connection.execute(_CLAIM_AGAIN, (centre.bench, list(self._in_hand)))
         self._look()  # what was told before was not heard
         while not self._closing.is_set():
             for row in centre.connection.execute(_CLAIM, (centre.bench,)).fetchall():
@@ -123,10 +122,17 @@ class Commands:
     def _carry_out(self, command: Command) -> None:
         level = logging.DEBUG if command.kind == "look" else logging.INFO
         log.log(level, "command %d: %s of %s", command.id, command.kind, command.rig or command.run_uid)
+        self._in_hand.add(command.id)
         work = threading.Thread(target=self._work, args=(command,), name=f"command {command.id}", daemon=True)
         work.start()
 
     def _work(self, command: Command) -> None:
+        try:
+            self._answer(command)
+        finally:
+            self._in_hand.discard(command.id)
+
+    def _answer(self, command: Command) -> None:
         answer = json_of(self.answer_to(command))
         give_up_s = time.monotonic() + LONGEST_ANSWER_S
         while command.kind == "stop" or time.monotonic() < give_up_s:

@@ -20,13 +20,15 @@ import psycopg
 from psycopg.types.json import Json
 
 from calrig.store.checksums import sealed, to_json
-from calrig.store.postgresql.database import ALIVE
+from calrig.store.postgresql.connection import Connection, connect
 
 FIRST_PAUSE_S = 0.25
 LONGEST_PAUSE_S = 8.0
 CLOSE_S = 1.0
 PATIENCE_MS = 5000
-"""How long the server may take over one statement, or wait for a lock."""
+"""How long the server may take over one statement, wait for a lock, or for the rest of a transaction."""
+SILENT_S = 7.0
+"""After that the connection is dropped: the server itself has ended the statement sooner."""
 NOW = """to_char(clock_timestamp() AT TIME ZONE 'UTC', 'YYYY-MM-DD"T"HH24:MI:SS.US"+00:00"')"""
 """The server's time as the store writes times."""
 _WHOSE = "SELECT name FROM bench WHERE role = session_user AND revoked_at IS NULL"
@@ -40,7 +42,7 @@ class LinkDown(Exception):  # noqa: N818 (a state, and no defect)
 class Centre:
     """The centre's database, while a connection is open, and the bench that speaks to it."""
 
-    connection: psycopg.Connection[Any]
+    connection: Connection
     bench: str
 
 
@@ -107,10 +109,10 @@ class Link:
 
 
 def _connected(url: str) -> Centre:
-    connection = psycopg.connect(url, autocommit=True, **ALIVE)
+    connection = connect(url, SILENT_S)
     try:
-        connection.execute(f"SET statement_timeout = {PATIENCE_MS}")
-        connection.execute(f"SET lock_timeout = {PATIENCE_MS}")
+        for limit in ("statement_timeout", "lock_timeout", "idle_in_transaction_session_timeout"):
+            connection.execute(f"SET {limit} = {PATIENCE_MS}")
         found = connection.execute(_WHOSE).fetchone()
         if found is None:
             raise LinkDown("this role is no bench's, or was revoked: join again with `calrig agent enroll`")
@@ -133,7 +135,7 @@ def is_of_owner(url: str) -> bool:
         url: of the database, as libpq takes it.
     """
     try:
-        with psycopg.connect(url, autocommit=True, **{**ALIVE, "connect_timeout": ASKS_S}) as connection:
+        with connect(url, ASKS_S, connect_timeout=ASKS_S) as connection:
             found = connection.execute(_OWNS).fetchone()
     except psycopg.Error:
         return False

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calrig.errors import printable
-from calrig.estimation.angle_text import SMALL_DEG, angle_text
+from calrig.estimation.angle_text import SMALL_DEG, angle_text, number_text
 from calrig.run_ids import short_name
 
 if TYPE_CHECKING:
@@ -119,11 +119,11 @@ def _as_list(
 def print_parameter(title: str, parameter: Mapping[str, Any] | Model | None, unit: str = "") -> None:
     """Prints a parameter with its standard error; one that does not apply is left out."""
     if parameter is not None:
-        if unit == "°":
-            print_line(f"  {title} = {angle_text(parameter['value'], 4, parameter['std'])}")
-            return
-        std = "" if parameter["std"] is None else f" ± {parameter['std']:.2g}"
-        print_line(f"  {title} = {parameter['value']:.4g}{std}{unit and f' {unit}'}")
+        value, std = parameter["value"], parameter["std"]
+        written = (
+            angle_text(value, 4, std) if unit == "°" else number_text(value, std, 4, unit and f" {unit}")
+        )
+        print_line(f"  {title} = {written}")
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
@@ -478,10 +478,14 @@ def _print_effect(effect: EffectFound) -> None:
     """Print an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effects import EFFECTS, covariate_of
     from calrig.calibration.regression import ORIGINS
+    from calrig.calibration.uncertainty import SAME_EFFECT
 
     known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
     titles = [known.title_of(effect.origin)]
-    titles += [EFFECTS[rival].title_of(effect.origin) for rival in effect.confusable_with]
+    titles += [
+        SAME_EFFECT if rival == effect.name else EFFECTS[rival].title_of(effect.origin)
+        for rival in effect.confusable_with
+    ]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     between = f", changed from run {changed.from_} to run {changed.to}" if changed else ""
     heading = f"{', or '.join(titles)}{between}"

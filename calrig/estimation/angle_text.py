@@ -15,14 +15,15 @@ def angle_text(value_deg: float, digits: int = 3, std_deg: float | None = None) 
 
     `digits` are significant ones; `std_deg`, its standard error, then decides the digits of both.
     """
-    in_degrees = _significant(value_deg, std_deg, digits, "°")
+    in_degrees = number_text(value_deg, std_deg, digits, "°")
     if value_deg == 0.0 or not LEAST_DEG <= abs(value_deg) < SMALL_DEG:
         return in_degrees
     arcseconds_std = None if std_deg is None else 3600.0 * std_deg
-    return f"{in_degrees} ({_significant(3600.0 * value_deg, arcseconds_std, digits, '″')})"
+    return f"{in_degrees} ({number_text(3600.0 * value_deg, arcseconds_std, digits, '″')})"
 
 
-def _significant(value: float, std: float | None, digits: int, unit: str) -> str:
+def number_text(value: float, std: float | None, digits: int, unit: str) -> str:
+    """Return a number in words, with the digits that its standard error leaves it, and its unit."""
     if std is None or not (math.isfinite(std) and std > 0.0):
         shown = "0" if value == 0.0 else _written(value, _decimals(value, digits), digits)
         return f"{shown}{unit}"

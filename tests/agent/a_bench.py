@@ -239,12 +239,13 @@ def hand_written(url: str) -> Iterator[HandWritten]:
 
 
 class Cable:
-    """A TCP connection to the server that a test cuts and mends."""
+    """A TCP connection to the server that a test cuts and mends, or that passes nothing on any more."""
 
     def __init__(self, url: str) -> None:
         self._server = str(make_url(url).query["host"]) + "/.s.PGSQL.5432"
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._ends: list[socket.socket] = []
+        self._silent: set[socket.socket] = set()
         self._is_cut = False
         self.url = (
             make_url(url)
@@ -261,6 +262,10 @@ class Cable:
                 end.shutdown(socket.SHUT_RDWR)
             end.close()
         self._ends.clear()
+
+    def silence(self, *, answers_alone: bool = False) -> None:
+        """The connections that are open stay so and pass nothing on, for ever; new ones are whole."""
+        self._silent |= set(self._ends[1::2] if answers_alone else self._ends)
 
     def mend(self) -> None:
         """New connections come through."""
@@ -284,11 +289,13 @@ class Cable:
                 for one, other in ((near, far), (far, near)):
                     threading.Thread(target=self._pass_on, args=(one, other), daemon=True).start()
 
-    @staticmethod
-    def _pass_on(one: socket.socket, other: socket.socket) -> None:
+    def _pass_on(self, one: socket.socket, other: socket.socket) -> None:
         with suppress(OSError):
             while data := one.recv(65536):
-                other.sendall(data)
+                if one not in self._silent:
+                    other.sendall(data)
+        if one in self._silent:  # of its end the other one hears nothing either
+            return
         for end in (one, other):
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)

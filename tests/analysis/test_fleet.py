@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shared_processes import shared_workers
 
 from calrig.analysis import fleet
-from calrig.analysis.fleet import Workers, own_processes, reanalyse
+from calrig.analysis.fleet import Workers, reanalyse
 from calrig.calibration.poses import Pose
 from calrig.calibration.results.pose_errors import residuals
 from calrig.calibration.results.result import build_result
@@ -51,13 +52,6 @@ def nobody() -> Iterator[Workers]:
     yield
 
 
-@pytest.fixture(scope="module")
-def processes() -> Iterator[Callable[[], AbstractContextManager[Workers]]]:
-    """Calrig's own processes, which `reanalyse` asks for, started once."""
-    with own_processes() as workers:
-        yield lambda: nullcontext(workers)
-
-
 @pytest.fixture
 def runs(store: Store) -> dict[str, Run]:
     """A backlash nobody has seen, noise, noise that was once taken for something, too few poses."""
@@ -71,8 +65,8 @@ def runs(store: Store) -> dict[str, Run]:
     return made
 
 
-def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs, processes):
-    found = reanalyse(store, store, processes, unseen)
+def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs):
+    found = reanalyse(store, store, shared_workers, unseen)
     assert set(found) == {"runs", "changed", "failed", "rigs", "duration_s"}
     assert found["failed"] == []
     assert found["runs"] == 4
@@ -85,29 +79,29 @@ def test_what_stands_out_or_had_a_name_is_diagnosed_once_more(store, runs, proce
     assert store.runs.get(runs["mistaken"].id).diagnosis["verdict"] == "named"  # what people saw stays
 
 
-def test_nothing_is_done_twice_until_poses_or_catalogue_change(store, runs, monkeypatch, processes):
-    first = reanalyse(store, store, processes, unseen)
+def test_nothing_is_done_twice_until_poses_or_catalogue_change(store, runs, monkeypatch):
+    first = reanalyse(store, store, shared_workers, unseen)
     assert reanalyse(store, store, nobody, unseen)["changed"] == first["changed"]
     before = store.findings.all()
     store.amendments.exclude_pose(runs["mistaken"].id, 3, "bumped", result=None)
-    reanalyse(store, store, processes, unseen)
+    reanalyse(store, store, shared_workers, unseen)
     after = store.findings.all()
     assert [run for run in after if after[run] != before[run]] == [runs["mistaken"].id]
     monkeypatch.setattr(fleet, "catalogue_version", lambda: "f" * 64)
     with pytest.raises(WorkError, match="another calrig"):  # the processes still have that of the files
-        reanalyse(store, store, processes, unseen)
+        reanalyse(store, store, shared_workers, unseen)
 
 
-def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_path: Path, processes):
+def test_findings_can_go_elsewhere_and_the_screen_read_parquet(store, runs, tmp_path: Path):
     listed = [run for part in store.fleet.completed_runs() for run in part]
     write_poses(tmp_path / "poses", store.fleet.packed_poses(listed))
     store.amendments.void(runs["noise"].id, "bumped")  # the files have it still
     calibrated(store, "E", 5)  # and lack this one
     with Store.open(f"sqlite:///{tmp_path / 'found.db'}", writer="tests") as results:
-        found = reanalyse(store, results, processes, unseen, tmp_path / "poses")
+        found = reanalyse(store, results, shared_workers, unseen, tmp_path / "poses")
         assert set(results.findings.all()) == {runs["backlash"].id, runs["mistaken"].id}
     assert store.findings.all() == {}
-    direct = reanalyse(store, store, processes, unseen)
+    direct = reanalyse(store, store, shared_workers, unseen)
     assert (found["runs"], found["changed"], found["rigs"]) == (4, direct["changed"], direct["rigs"])
 
 
@@ -121,19 +115,19 @@ def damage(store: Store, run: Run, what: str) -> None:
 
 
 @pytest.mark.parametrize("what", ["reading_deg = reading_deg + 1", "reading_deg = 'NaN'"])
-def test_a_run_that_cannot_be_read_is_a_line_of_the_report(store, runs, processes, what):
-    whole = reanalyse(store, store, processes, unseen)
+def test_a_run_that_cannot_be_read_is_a_line_of_the_report(store, runs, what):
+    whole = reanalyse(store, store, shared_workers, unseen)
     damage(store, runs["noise"], what)
     damage(store, runs["mistaken"], what)
-    found = reanalyse(store, store, processes, unseen)
+    found = reanalyse(store, store, shared_workers, unseen)
     assert {one["run_id"] for one in found["failed"]} == {runs["noise"].id, runs["mistaken"].id}
     assert all("damaged" in one["error"] and "\n" not in one["error"] for one in found["failed"])
     assert (found["runs"], found["changed"]) == (4, whole["changed"][:1])
 
 
-def test_a_diagnosis_whose_process_dies_is_a_line_and_is_made_the_next_time(store, runs, processes):
+def test_a_diagnosis_whose_process_dies_is_a_line_and_is_made_the_next_time(store, runs):
     def kill_first() -> AbstractContextManager[Workers]:
-        with processes() as real:
+        with shared_workers() as real:
             deaths = iter([partial(signal.raise_signal, signal.SIGKILL)])
             return nullcontext(replace(real, submit=lambda asked: real.submit(next(deaths, asked))))
 
@@ -142,12 +136,12 @@ def test_a_diagnosis_whose_process_dies_is_a_line_and_is_made_the_next_time(stor
     assert failed["run_id"] == runs["backlash"].id
     assert "its process ended (status -9)" in failed["error"]
     assert [one["run_id"] for one in first["changed"]] == [runs["mistaken"].id]
-    again = reanalyse(store, store, processes, unseen)
+    again = reanalyse(store, store, shared_workers, unseen)
     assert again["failed"] == []
     assert [one["run_id"] for one in again["changed"]] == [runs["backlash"].id, runs["mistaken"].id]
 
 
-def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store, processes):
+def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store):
     made = [calibrated(store, unit, seed, backlash_deg=0.1) for seed, unit in enumerate("ABC")]
 
     def left_at(run, theta_deg, approach):
@@ -156,7 +150,7 @@ def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store, pr
         here = [(pose.theta_deg, pose.approach) == (theta_deg, approach) for pose in poses]
         return np.mean(np.array(left)[here])
 
-    (found,) = reanalyse(store, store, processes, unseen)["rigs"]
+    (found,) = reanalyse(store, store, shared_workers, unseen)["rigs"]
     assert (found["rig"], found["units"]) == ("bench-1", 3)
     places = sorted(set(zip(THETA_DEG.tolist(), APPROACH.tolist(), strict=True)))
     assert list(zip(found["map"]["stage_deg"], found["map"]["approach"], strict=True)) == places
@@ -166,7 +160,7 @@ def test_the_map_of_a_rig_is_the_mean_of_its_units_over_all_their_runs(store, pr
     for unit in "ABC":
         calibrated(store, unit, 9, backlash_deg=0.3)  # as many runs again, of one noise
     calibrated(store, "D", 4, rig="bench-2")
-    both, alone = reanalyse(store, store, processes, unseen)["rigs"]
+    both, alone = reanalyse(store, store, shared_workers, unseen)["rigs"]
     senses = np.array(both["map"]["approach"])
     errors = np.array(both["map"]["error_deg"])
     assert errors[senses > 0].mean() - errors[senses < 0].mean() == pytest.approx(0.2, abs=0.01)

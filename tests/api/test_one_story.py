@@ -83,7 +83,7 @@ class Documents:
         return [(row[0], *row[4:]) for row in re.findall(errors, self.pdf)]
 
 
-@pytest.fixture(params=["PLAIN", "EFFECTS", "SOLVED"])
+@pytest.fixture(scope="module", params=["PLAIN", "EFFECTS", "SOLVED"])
 def told(client, request):
     return Documents(client, request.param)
 

@@ -45,10 +45,24 @@ def test_play_of_27_rests_in_any_order_is_found(seed):
     assert [(e["name"], e["verdict"]) for e in found["effects"]] == [("backlash", "named")]
 
 
-def test_play_that_grows_along_the_range_is_found():
-    poses = with_play(triangle_deg(), 0.03, 1, growth=1.0, time_s=4.0 * np.arange(97))
-    found = trace([poses], ["1"])
-    assert [e["covariate"] for e in found["effects"]] == ["approach·target_deg"]
+@pytest.mark.parametrize("seed", range(3))
+def test_play_that_grows_along_the_range_is_backlash_with_its_growth(seed):
+    poses = with_play(triangle_deg(), 0.03, seed, growth=1.0, time_s=4.0 * np.arange(97))
+    (effect,) = trace([poses], ["1"])["effects"]
+    assert (effect["name"], effect["verdict"]) == ("backlash", "named")
+    known = {"backlash_deg": PLAY_DEG, "growth_deg_per_deg": PLAY_DEG / 60.0, "middle_deg": 0.0}
+    assert effect["parameters"].keys() == known.keys()
+    for name, value in known.items():
+        stated = effect["parameters"][name]
+        assert abs(stated["value"] - value) <= 3.0 * (stated["std"] or 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_difference_by_direction_that_changes_its_sign_is_no_play(seed):
+    poses = with_play(triangle_deg(), 0.03, seed, growth=4.0, time_s=4.0 * np.arange(97))
+    found = trace([poses], ["1"])["effects"]
+    assert all("growth_deg_per_deg" not in effect["parameters"] for effect in found)
+    assert any(effect["covariate"] == "approach·target_deg" for effect in found)
 
 
 def test_a_stage_that_was_asked_for_no_step_came_as_it_did_before():

@@ -35,7 +35,9 @@ def measured() -> list[Pose]:
 @pytest.fixture(scope="module")
 def designed(measured: list[Pose]) -> FollowUp:
     r = responses_of([measured])
-    (play,), (moves,) = ([c for c in candidates_of(r) if c.name == name] for name in ("backlash", "settling"))
+    (play, *_), (moves, *_) = (
+        [c for c in candidates_of(r) if c.name == name] for name in ("backlash", "settling")
+    )
     columns = model_columns(r, [play])
     found = SelectedEffect(play, (moves,), p_value=0.005, lead=1.0)
     kept = np.arange(len(r))

@@ -398,15 +398,17 @@ def test_too_few_poses_and_poses_about_one_axis_are_told_what_is_missing():
 
 
 @pytest.mark.parametrize(
-    ("name", "n_poses", "before_mg", "after_mg"),
+    ("name", "given", "n_poses", "before_mg", "after_mg"),
     [
-        ("mpu9150_unit0", 22, (1.66, 2.21), (0.25, 0.4)),
-        ("mpu9150_unit2", 22, (1.72, 2.33), (0.25, 0.4)),
-        ("xsens", 38, (3.44, 3.98), (0.15, 0.2)),
+        *(
+            ("mpu9150_unit0", given, 22, (1.66, 2.21), (0.25, 0.4))
+            for given in ("time", "rate", "nothing", "one row a position")
+        ),
+        ("mpu9150_unit2", "time", 22, (1.72, 2.33), (0.25, 0.4)),
+        ("xsens", "time", 38, (3.44, 3.98), (0.15, 0.2)),
     ],
 )
-@pytest.mark.parametrize("given", ["time", "rate", "nothing", "one row a position"])
-def test_measured_logs_are_traced_to_misalignment(name, n_poses, before_mg, after_mg, given):
+def test_measured_logs_are_traced_to_misalignment(name, given, n_poses, before_mg, after_mg):
     file = DATA / f"{name}_multiposition.csv"
     if not file.is_file():
         pytest.skip(f"{file} is not here: set CALRIG_DATA to the folder of measured data")

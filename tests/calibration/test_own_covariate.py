@@ -48,38 +48,44 @@ EFFECT = Effect(
     remedy="stabilise the supply",
 )
 '''
-LOADED = """
-import sys
-import calrig
-
-unit, reading_deg = calrig.load("unit.json"), float(sys.argv[1])
-print(unit.elevation_deg(reading_deg, columns={"supply_v": 3.6}))
-try:
-    unit.elevation_deg(reading_deg)
-except ValueError as error:
-    print(error)
-"""
 DEG_PER_V, BIAS_DEG = 1.7, 0.6
-BY_API = """
+IN_USE = """
 import json, sys
 from pathlib import Path
+
+import calrig as package
+from command_line import calrig
+from shared_processes import in_shared_process
 from support import imported, running_service, serving
 
-with running_service(Path("calrig.db")) as service, serving(service, own_processes=True) as client:
+from calrig.analysis import unit_of_work
+
+unit_of_work.run_in_subprocess = in_shared_process
+with running_service(Path("calrig.db")) as service, serving(service) as client:
     run = imported(client, "A", Path("poses.csv").read_text())
     path = f"/api/runs/{run['id']}/diagnosis"
     found = client.post(path, json={}).json()
     client.post(f"{path}/accept", json={"effects": ["supply_bias"]}).raise_for_status()
     unit = "/api/units/A/calibration"
     header = client.get(unit, params={"format": "c-header"})
-    json.dump(
-        {
-            "effects": found["effects"],
-            "document": client.get(unit).text,
-            "header": [header.status_code, header.text],
-        },
-        sys.stdout,
-    )
+    document = client.get(unit).text
+Path("unit.json").write_text(document)
+loaded, reading_deg = package.load("unit.json"), float(sys.argv[1])
+try:
+    loaded.elevation_deg(reading_deg)
+except ValueError as error:
+    why = str(error)
+refused = calrig("apply", "unit.json", "blind.csv", status=2)
+answers = {
+    "effects": found["effects"],
+    "document": json.loads(document),
+    "header": [header.status_code, header.text],
+    "applied": calrig("apply", "unit.json", "flight.csv").stdout,
+    "loaded": loaded.elevation_deg(reading_deg, columns={"supply_v": 3.6}),
+    "why": why,
+    "refused": [refused.stdout, refused.stderr],
+}
+json.dump(answers, sys.stdout)
 """
 
 
@@ -103,36 +109,32 @@ def with_effect(tmp_path):
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
-def python(environment, folder, *arguments, status=0):
-    """Standard output and standard error of a Python process."""
-    done = subprocess.run(
-        [sys.executable, *arguments], env=environment, cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == status, done.stderr
-    return done.stdout, done.stderr
-
-
 def test_an_effect_on_a_column_of_ones_own_is_found_accepted_exported_and_applied(with_effect, tmp_path):
     rng = np.random.default_rng(5)
     theta, volts = rng.uniform(-60, 60, 60).round(2), rng.uniform(3.0, 3.6, 60).round(3)
     reading = BIAS_DEG + theta + DEG_PER_V * (volts - 3.3) + rng.normal(0, 0.01, 60)
     rows = [f"{x},{y:.4f},{v}" for x, y, v in zip(theta, reading, volts, strict=True)]
     (tmp_path / "poses.csv").write_text("\n".join(["target_deg,reading_deg,supply_v", *rows]) + "\n")
-    answers = json.loads(python(with_effect, tmp_path, "-c", BY_API)[0])
+    at_20_deg = BIAS_DEG + 20 + DEG_PER_V * 0.3
+    (tmp_path / "flight.csv").write_text(f"reading_deg,supply_v\n{at_20_deg},3.6\n")
+    (tmp_path / "blind.csv").write_text("reading_deg\n20\n")
+    done = subprocess.run(
+        [sys.executable, "-c", IN_USE, str(at_20_deg)],
+        env=with_effect,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    answers = json.loads(done.stdout)
     assert [one["name"] for one in answers["effects"]] == ["supply_bias"]
-    document = json.loads(answers["document"])
+    document = answers["document"]
     assert document["effects"][0]["parameters"]["deg_per_v"] == pytest.approx(DEG_PER_V, abs=0.02)
     assert document["rms_with_effects_deg"] < 0.02 < 0.2 < document["rms_calibrated_deg"]
     assert (answers["header"][0], "supply_v" in answers["header"][1]) == (409, True)
 
-    (tmp_path / "unit.json").write_text(answers["document"])
-    at_20_deg = BIAS_DEG + 20 + DEG_PER_V * 0.3
-    (tmp_path / "flight.csv").write_text(f"reading_deg,supply_v\n{at_20_deg},3.6\n")
-    (tmp_path / "blind.csv").write_text("reading_deg\n20\n")
-    apply = ("-m", "calrig", "apply", "unit.json")
-    applied, _ = python(with_effect, tmp_path, *apply, "flight.csv")
-    assert float(applied.splitlines()[1].split(",")[2]) == pytest.approx(20.0, abs=0.03)
-    loaded, why = python(with_effect, tmp_path, "-c", LOADED, str(at_20_deg))[0].splitlines()
-    assert (float(loaded), "supply_v" in why) == (pytest.approx(20.0, abs=0.03), True)
-    nothing, refused = python(with_effect, tmp_path, *apply, "blind.csv", status=2)
+    assert float(answers["applied"].splitlines()[1].split(",")[2]) == pytest.approx(20.0, abs=0.03)
+    assert (answers["loaded"], "supply_v" in answers["why"]) == (pytest.approx(20.0, abs=0.03), True)
+    nothing, refused = answers["refused"]
     assert (nothing, "supply_v" in refused, "no such column" in refused) == ("", True, True)

@@ -11,8 +11,16 @@ from contextlib import closing
 import numpy as np
 import pytest
 from command_line import calrig, reason
+from shared_processes import shared_workers
 
+from calrig.analysis import fleet
 from calrig.store import Store
+
+
+@pytest.fixture
+def _processes_are_there(monkeypatch):
+    """Calrig's own, without their start."""
+    monkeypatch.setattr(fleet, "own_processes", shared_workers)
 
 
 @pytest.fixture
@@ -35,12 +43,15 @@ def runs(folder) -> list[str]:
 
 @pytest.fixture(scope="module")
 def scheduler():
-    """Address of a Dask scheduler with one worker."""
+    """Address of a Dask scheduler with one worker; both are in this process, and are spoken to over TCP."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=None
+    ) as cluster:
         yield cluster.scheduler_address
 
 
+@pytest.mark.usefixtures("_processes_are_there")
 def test_the_document_tells_what_changed_and_each_rigs_map(runs, scheduler):
     found = json.loads(calrig("fleet", "--json").stdout)
     assert list(found) == ["runs", "changed", "failed", "rigs", "duration_s"]
@@ -53,6 +64,7 @@ def test_the_document_tells_what_changed_and_each_rigs_map(runs, scheduler):
     assert runs[0] in again
 
 
+@pytest.mark.usefixtures("_processes_are_there")
 def test_a_failed_run_is_a_line_and_the_report_is_made(runs, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with closing(sqlite3.connect("calrig.db")) as store:

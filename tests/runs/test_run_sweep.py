@@ -100,7 +100,7 @@ def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
 ) -> None:
     first = serve(bench)
     run = begin(first, SWEEP.model_copy(update={"start_deg": 30.0, "stop_deg": -30.0}))  # from above
-    until(lambda: store.poses.count(run.id) >= 14, "a whole pass")
+    until_stored(store, run, 14)
     first.close()
     kept = [stored.pose for stored in store.poses.of(run.id)]
     assert first.run(run.id).status == "interrupted"
@@ -138,7 +138,7 @@ def test_a_sweep_ends_after_the_pass_that_is_good_enough_and_pauses_between_pass
     service = serve(bench)
     chosen = SWEEP.model_copy(update={"sweeps": 6, "until": Plan(until={"bias_std_deg": 0.004}).until})
     run = begin(service, Plan.model_validate(chosen.model_dump()))
-    until(lambda: store.poses.count(run.id) >= 1, "the first dwell")
+    until_stored(store, run, 1)
     service.pause(run.id)
     until(lambda: service.run(run.id).status == "paused", "pause", 60)
     assert len(store.poses.of(run.id)) in (1, 14)

@@ -255,7 +255,8 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
             yield _smooth(r.theta_deg, count, "target_deg", tilted, has_knots=r.reference_is_good)
     if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
         for count in KNOTS:
-            by_side = (natural_spline(r.theta_deg, count).T * r.approach).T
+            curve = natural_spline(r.theta_deg, count)
+            by_side = ((curve - curve.mean(axis=0)).T * r.approach).T  # backlash beside it is the mean
             shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
             yield replace(shape, beside=("approach",))
     if (spacing := spacing_deg(r.theta_deg)) is not None:

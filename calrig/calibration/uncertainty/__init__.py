@@ -30,13 +30,20 @@ from calrig.calibration.uncertainty.sequential_stopping import (
     has_the_line,
     turned_both_ways,
 )
-from calrig.calibration.uncertainty.verdict import IN_WORDS, between_runs, make_verdict, verdict_figures
+from calrig.calibration.uncertainty.verdict import (
+    IN_WORDS,
+    SAME_EFFECT,
+    between_runs,
+    make_verdict,
+    verdict_figures,
+)
 
 __all__ = [
     "AS_PLANNED",
     "COVERAGE",
     "IN_WORDS",
     "REMOUNT_LIMIT_DEG",
+    "SAME_EFFECT",
     "Ending",
     "Line",
     "answer_of",

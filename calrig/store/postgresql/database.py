@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import psycopg
-from sqlalchemy import URL, Connection, create_engine, inspect, make_url, text
+from sqlalchemy import URL, Connection, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import OperationalError
 from sqlmodel import Session
 
@@ -16,6 +16,7 @@ from calrig.instruments.cancellation import raise_if_cancelled
 from calrig.store.checksums import from_json, to_json
 from calrig.store.database import LOOK_S, Database, migrate, revisions
 from calrig.store.errors import StoreDamagedError, StoreError, StoreUnavailableError
+from calrig.store.postgresql import connection as client
 from calrig.store.postgresql.errors import DAMAGED, store_error
 from calrig.store.postgresql.set_up import is_secure, is_set_up, keep_benches_out, secure, set_up
 from calrig.store.records import Size
@@ -26,16 +27,8 @@ are read and written again in one turn, as under SQLite's one writer.
 """
 ATTEMPTS = 10
 """At bringing a database up to date in which benches are at work."""
-CONNECT_S = 5
-ALIVE: dict[str, Any] = {
-    "connect_timeout": CONNECT_S,
-    "keepalives_idle": 10,
-    "keepalives_interval": 5,
-    "keepalives_count": 3,
-    "tcp_user_timeout": 15_000,
-    "application_name": "calrig",
-}
-"""Of libpq: a server that has gone, or a cable, is noticed within half a minute."""
+HELD_S = 60
+"""How long the server keeps a writer's turn for a client that says nothing."""
 
 
 def url_of(url: str) -> URL:
@@ -68,8 +61,11 @@ class PostgresqlDatabase(Database):
             pool_size=8,
             max_overflow=-1,
             pool_pre_ping=True,  # the server may have been started again
-            connect_args=ALIVE,
+            connect_args=client.ALIVE,
         )
+        event.listen(self._engine, "do_connect", _connect)
+        event.listen(self._engine, "checkin", _wait_for_a_ping)
+        event.listen(self._engine, "checkout", _wait_for_a_statement)
         self._reads = self._engine.execution_options(
             isolation_level="REPEATABLE READ", postgresql_readonly=True
         )
@@ -113,6 +109,7 @@ class PostgresqlDatabase(Database):
         for left in reversed(range(ATTEMPTS)):
             try:
                 with self._engine.begin() as connection:
+                    client.wait_long(connection)
                     self._bring_up(connection, head)
                 return
             except OperationalError as error:  # a bench was in the middle of a transaction
@@ -140,6 +137,7 @@ class PostgresqlDatabase(Database):
     def staging(self) -> Iterator[Connection]:
         """As `Database.staging`."""
         with self._in_words(), self._engine.connect() as connection:
+            client.wait_long(connection)
             connection.detach()  # it is closed in earnest
             yield connection
 
@@ -169,6 +167,7 @@ class PostgresqlDatabase(Database):
                 session.rollback()
                 continue
             session.execute(text(f"SET LOCAL lock_timeout = {1000 * self._timeout_s:.0f}"))
+            session.execute(text(f"SET LOCAL idle_in_transaction_session_timeout = '{HELD_S} s'"))
             self._require_own_tables(session)
             return
 
@@ -199,3 +198,17 @@ class PostgresqlDatabase(Database):
 
     def _damaged(self, what: str) -> StoreDamagedError:
         return StoreDamagedError(f"{self.name}: {DAMAGED} ({what})")
+
+
+def _connect(_dialect: object, _record: object, arguments: Any, options: Any) -> client.Connection:
+    return client.Connection.connect(*arguments, **options)
+
+
+def _wait_for_a_ping(connection: client.Connection | None, _record: object) -> None:
+    """In the pool a connection waits for its ping, which has the server do nothing."""
+    if connection is not None:
+        connection.silent_s = client.PING_S
+
+
+def _wait_for_a_statement(connection: client.Connection, _record: object, _fairy: object) -> None:
+    connection.silent_s = client.SILENT_S

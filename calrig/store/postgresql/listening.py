@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import psycopg
 from psycopg import sql
 
-from calrig.store.postgresql.database import ALIVE, url_of
+from calrig.store.postgresql.connection import PING_S, Connection, connect
+from calrig.store.postgresql.database import url_of
 
 log = logging.getLogger(__name__)
 
@@ -18,12 +19,6 @@ LOOK_S = 0.2
 """How soon it notices that it is to end: a connection is not closed under the thread that reads it."""
 AGAIN_S = 1.0
 """Between two attempts to connect."""
-
-
-def connect(url: str) -> psycopg.Connection[Any]:
-    """A connection of its own to a store's database, each statement a transaction."""
-    known_to_libpq = url_of(url).set(drivername="postgresql").render_as_string(hide_password=False)
-    return psycopg.connect(known_to_libpq, autocommit=True, **ALIVE)
 
 
 class Listening:
@@ -42,7 +37,8 @@ class Listening:
         heard: Mapping[str, Callable[[str], object]],
         connected: Callable[[], object] = lambda: None,
     ) -> None:
-        self._url, self._heard, self._connected = url, heard, connected
+        self._url = url_of(url).set(drivername="postgresql").render_as_string(hide_password=False)
+        self._heard, self._connected = heard, connected
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="listening", daemon=True)
 
@@ -60,7 +56,7 @@ class Listening:
         said = False
         while not self._closing.is_set():
             try:
-                with connect(self._url) as connection:
+                with connect(self._url, PING_S) as connection:
                     for channel in self._heard:
                         connection.execute(sql.SQL("LISTEN {}").format(sql.Identifier(channel)))
                     if said:
@@ -74,8 +70,12 @@ class Listening:
                 said = True
                 self._closing.wait(AGAIN_S)
 
-    def _listen(self, connection: psycopg.Connection[Any]) -> None:
+    def _listen(self, connection: Connection) -> None:
+        ping_at_s = time.monotonic() + PING_S
         while not self._closing.is_set():
+            if time.monotonic() >= ping_at_s:
+                connection.execute("SELECT")
+                ping_at_s = time.monotonic() + PING_S
             for told in connection.notifies(timeout=LOOK_S):
                 heard = self._heard.get(told.channel)
                 if heard is not None:

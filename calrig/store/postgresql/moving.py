@@ -12,6 +12,7 @@ from sqlalchemy import BigInteger, Connection, Integer, Table, text
 from calrig.store.checksums import CheckedJson
 from calrig.store.database import Database
 from calrig.store.errors import Refused
+from calrig.store.postgresql.connection import wait_long
 from calrig.store.postgresql.errors import store_error
 from calrig.store.raw_rows import TEXTS, Row, names, row_name
 
@@ -38,6 +39,9 @@ class PostgresqlEnd:
 
     def begin(self, connection: Connection, tables: Sequence[Table]) -> None:
         """Makes ready for rows: nobody is told of events that are years old."""
+        wait_long(connection)
+        # between two statements it reads the source
+        connection.execute(text("SET LOCAL idle_in_transaction_session_timeout = 0"))
         self._each(connection, tables, "ALTER TABLE {} DISABLE TRIGGER USER")
 
     def lay(self, connection: Connection, table: Table, rows: Sequence[Row]) -> None:

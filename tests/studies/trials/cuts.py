@@ -28,8 +28,9 @@ from .served import until
 CUTS = 1000
 AT_A_CENTRE = 25
 """Runs on one centre before the next one: its start takes several seconds."""
-KINDS = ("agent", "network", "black hole", "half delivery", "centre", "postgresql")
-"""In a black hole connections stay open and pass nothing on; in half a delivery half of a parcel goes first.
+KINDS = ("agent", "network", "black hole", "dead connections", "half delivery", "centre", "postgresql")
+"""In a black hole connections stay open and pass nothing on, until it is mended; dead connections never do,
+and new ones are whole. In half a delivery half of a parcel goes first.
 """
 MOST_CUTS = 3
 AWAY_S = (0.0, 2.0)
@@ -66,6 +67,8 @@ def _cut(at: Centre, bench: Bench, kind: str, away_s: float) -> bool:
         at.server.cable.swallow()
         threading.Event().wait(away_s)
         at.server.cable.mend()
+    elif kind == "dead connections":
+        at.server.cable.strand()
     elif kind == "agent":
         bench.kill()
         threading.Event().wait(away_s)

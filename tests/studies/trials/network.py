@@ -21,6 +21,7 @@ class Cable:
     def __init__(self, socket: Path) -> None:
         self._socket, self._whole = str(socket), True
         self._open: set[asyncio.StreamWriter] = set()
+        self._stranded: set[asyncio.StreamWriter] = set()
         self._loop = asyncio.new_event_loop()
         self._passes, self._halves = asyncio.Event(), False
         self._passes.set()
@@ -40,6 +41,10 @@ class Cable:
         What was sent meanwhile then arrives late.
         """
         self._loop.call_soon_threadsafe(self._passes.clear)
+
+    def strand(self) -> None:
+        """Passes nothing on in the connections that are open, for ever; new ones are whole."""
+        self._loop.call_soon_threadsafe(lambda: self._stranded.update(self._open))
 
     def halve(self, within_s: float) -> bool:
         """Passes half of the next parcel on, and then nothing more, as `swallow`; once mended it is cut.
@@ -67,6 +72,7 @@ class Cable:
         self._whole = False
         for writer in list(self._open):
             writer.transport.abort()
+        await asyncio.sleep(0.1)  # what forwarded them ends before the loop may
 
     async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if not self._whole:
@@ -84,12 +90,15 @@ class Cable:
             await asyncio.gather(up, down)
         finally:
             self._open -= ends
+            self._stranded -= ends
             for end in ends:
                 end.transport.abort()
 
     async def _copy(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, is_up: bool) -> None:
         with contextlib.suppress(OSError):
             while data := await reader.read(65536):
+                if writer in self._stranded:
+                    continue
                 await self._passes.wait()
                 is_half = is_up and self._halves and len(data) >= HALVED_BYTES
                 writer.write(data[: len(data) // 2] if is_half else data)
@@ -100,4 +109,5 @@ class Cable:
                     self._is_halved.set()
                     await self._passes.wait()
                     break
-        writer.transport.abort()
+        if writer not in self._stranded:
+            writer.transport.abort()
