@@ -14,9 +14,9 @@ def test_the_catalogue_says_all_that_a_page_shows_of_an_effect(shared_client):
     assert [effect["name"] for effect in effects] == list(EFFECTS)
     (backlash,) = (effect for effect in effects if effect["name"] == "backlash")
     hysteresis = {"name": "backlash_deg", "title": "Hysteresis (up − down)", "unit": "°", "flag": False}
-    taken_up = backlash["parameters"][1]
-    assert backlash["parameters"] == [hysteresis, {**taken_up, "name": "taken_up", "unit": "", "flag": False}]
-    assert "before each pose" in taken_up["title"]
+    units = {parameter["name"]: parameter["unit"] for parameter in backlash["parameters"]}
+    assert backlash["parameters"][0] == hysteresis
+    assert units == {"backlash_deg": "°", "growth_deg_per_deg": "°/°", "middle_deg": "°", "taken_up": ""}
     assert (backlash["scope"], backlash["origin_title"]) == ("rig", "the stage")
     assert (backlash["covariate"], backlash["covariate_title"]) == ("approach", "approach")
 
