@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from support import QUICK, wait_for
 
+from calrig.calibration.effects import EFFECTS
+
 from .page_help import figures_of, imported_lines, unfold_effect
 
 pytestmark = pytest.mark.browser
@@ -150,7 +152,7 @@ def test_an_effect_is_one_line_that_unfolds(page, client, go, expect):
     unfold_effect(page, "backlash")
     expect(chart.locator(".plot-container")).to_be_visible()
     formula = page.locator("[data-effect=backlash] .formula dd")
-    expect(formula).to_have_text("backlash_deg/2·approach: half the hysteresis, sign by direction")
+    expect(formula).to_have_text(EFFECTS["backlash"].formula)
 
 
 def test_what_was_left_out_is_said_and_what_it_means_at_another_temperature(page, client, go, expect):
