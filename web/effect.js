@@ -15,6 +15,7 @@ import {
   parameterRows,
   scopeOf,
   sizeOf,
+  suspectWords,
 } from "./effects.js";
 import { onOpen } from "./fold.js";
 import { moment, significant } from "./format.js";
@@ -92,10 +93,9 @@ function pValue({ p_value: p, least_p_value: least }) {
   return (p <= least ? "≤ " : "") + significant(p, 2);
 }
 
-function suspects({ verdict, name, confusable_with: others }) {
-  if (verdict !== "ambiguous" || !others.length) return null;
-  const listed = [name, ...others].map(candidateWords).join(" or ");
-  return h("p", { class: "suspects" }, "May be ", listed, ".");
+function suspects(effect) {
+  if (effect.verdict !== "ambiguous" || !effect.confusable_with.length) return null;
+  return h("p", { class: "suspects" }, "May be ", suspectWords(effect), ".");
 }
 
 function considered(effect) {

@@ -25,6 +25,12 @@ export function candidateWords(label) {
   return (covariate === undefined ? words(kind) : `a shape of ${covariateWords(covariate)}`) + changed;
 }
 
+/** What an ambiguous effect may be; by another period of its own if only the spacing of the poses could tell them. */
+export function suspectWords({ name, confusable_with: others }) {
+  const rivals = others.map((other) => (other === name ? "the same at another period" : candidateWords(other)));
+  return [candidateWords(name), ...rivals].join(" or ");
+}
+
 export function covariateWords(covariate) {
   return following(covariate)?.covariate_title ?? covariate;
 }

@@ -173,13 +173,12 @@ const LEFT_OUT = { ambiguous: "ambiguous", unnamed: "not in the catalogue", name
 async function whatIsLeftOut({ diagnosis, result }) {
   const open = (diagnosis?.effects ?? []).filter(({ accepted_at: acceptedAt }) => !isKnown(acceptedAt));
   if (!open.length) return null;
-  const { candidateWords, effectTitle, followsTemperature, knowEffects, sizeOf } = await import("./effects.js");
+  const { effectTitle, followsTemperature, knowEffects, sizeOf, suspectWords } = await import("./effects.js");
   await knowEffects();
   const { min, max } = result.temperature_c ?? {};
   const words = (effect) => {
-    const rivals = [effect.name, ...effect.confusable_with].map(candidateWords).join(" or ");
     const title = effectTitle(effect);
-    const name = effect.verdict === "ambiguous" ? rivals : title[0].toLowerCase() + title.slice(1);
+    const name = effect.verdict === "ambiguous" ? suspectWords(effect) : title[0].toLowerCase() + title.slice(1);
     return `${LEFT_OUT[effect.verdict]}: ${name}, ${sizeOf(effect)}`;
   };
   const means = open.some(followsTemperature)

@@ -233,6 +233,19 @@ def test_further_runs_of_the_unit_are_chosen_and_diagnosed_together(page, client
     assert client.get(f"/api/runs/{shown['id']}/diagnosis").json()["runs"] == [shown["id"]]
 
 
+def test_a_period_that_even_steps_do_not_tell_from_another_is_no_name_twice(page, client, go, expect):
+    noise = np.random.default_rng(3).normal(0, NOISE_DEG, 72)
+    wave_deg = [0.2 * np.sin(2.0 * np.pi * x / 21.0) for x in range(-180, 180, 5)]
+    poses = [
+        f"{x},{x + wave + e:.4f}" for x, wave, e in zip(range(-180, 180, 5), wave_deg, noise, strict=True)
+    ]
+    run = imported(client, ["target_deg,reading_deg", *poses], "ALIAS")
+    client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
+    go(f"#/runs/{run['id']}")
+    suspects = page.locator("[data-effect=stage_periodic] .suspects")
+    expect(suspects).to_have_text("May be stage periodic or the same at another period.")
+
+
 def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect, monkeypatch):
     run = imported(client, ambiguous_poses(), "AMBIGUOUS", rig="bench-1")
     go(f"#/runs/{run['id']}")
