@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from typer.testing import CliRunner, Result
@@ -20,7 +23,8 @@ POSES = "target_deg,reading_deg\n-30,-29.5\n0,0.4\n30,30.6\n"
 
 def calrig(*arguments: Any, status: int = 0) -> Result:
     """Runs a command to its end; whatever a user does, there is an exit status and never a traceback."""
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    with log_put_back():
+        done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert done.exit_code == status, done.output
     return done
 
@@ -32,3 +36,15 @@ def reason(*arguments: Any, status: int) -> str:
     (line,) = done.stderr.splitlines()
     assert line.startswith("calrig: ")
     return line
+
+
+@contextmanager
+def log_put_back() -> Iterator[None]:
+    """Undo what `serve` and `agent` do to the log of their whole process."""
+    root, ours = logging.getLogger(), logging.getLogger("calrig")
+    before = root.handlers, root.level, ours.level
+    try:
+        yield
+    finally:
+        root.handlers, root.level, ours.level = before
+        logging.captureWarnings(False)

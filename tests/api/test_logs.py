@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from command_line import log_put_back
 from raw_http import connected, head
 from support import QUICK, ended, wait_for
 
@@ -21,11 +22,8 @@ FORGED = "0042\n2026-01-01T00:00:00.000Z info calrig: all is well\x1b[2K\u2028\r
 @pytest.fixture
 def lines() -> Iterator[io.StringIO]:
     """The log of this process, in whatever format the test configures; put back afterwards."""
-    root, ours = logging.getLogger(), logging.getLogger("calrig")
-    before = root.handlers, root.level, ours.level
-    yield io.StringIO()
-    root.handlers, root.level, ours.level = before
-    logging.captureWarnings(False)
+    with log_put_back():
+        yield io.StringIO()
 
 
 def test_text_is_one_line_and_says_what_it_is_about(lines):

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import logging
-
 import pytest
 from command_line import POSES, RIG
 
@@ -15,13 +13,3 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "calrig.toml").write_text(RIG)
     (tmp_path / "poses.csv").write_text(POSES)
     return tmp_path
-
-
-@pytest.fixture(autouse=True)
-def log_put_back():
-    """`serve` sends the log of its whole process elsewhere."""
-    root, ours = logging.getLogger(), logging.getLogger("calrig")
-    before = root.handlers, root.level, ours.level
-    yield
-    root.handlers, root.level, ours.level = before
-    logging.captureWarnings(False)
