@@ -34,6 +34,7 @@ class RunPage {
   constructor(path, run, signal) {
     this.path = path;
     this.signal = signal;
+    this.nStates = 0; // that the stream has told
     this.header = h("div", { class: "run-head" });
     this.error = errorLine("run-error");
     this.place = placeField(); // one for all redraws, which keep what was typed
@@ -115,7 +116,9 @@ class RunPage {
       this.run.id,
       {
         state: async ({ status, error }) => {
-          this.#show({ ...this.run, status, error });
+          this.nStates += 1;
+          if (status === "queued") return this.#readQueued();
+          this.#show({ ...this.run, status, error, held: false });
           if (!TERMINAL.has(status)) return;
           if (status !== "interrupted") stream.stop(); // an interrupted run may have been resumed
           await this.#caughtUp(stream, timeline);
@@ -144,6 +147,20 @@ class RunPage {
       this.signal,
     );
     window.addEventListener("calrig:back", () => this.#caughtUp(stream, timeline), { signal: this.signal });
+    const look = () => this.run.status === "queued" && !document.hidden && this.#readQueued();
+    window.addEventListener("calrig:there", look, { signal: this.signal });
+  }
+
+  /** Reads a queued run, unless it begins meanwhile: what keeps it waiting at a centre changes without an event. */
+  async #readQueued() {
+    const { nStates } = this;
+    try {
+      const run = await get(this.path, this.signal);
+      const isNews = ["status", "error", "held"].some((name) => run[name] !== this.run[name]);
+      if (nStates === this.nStates && isNews) this.#show(run);
+    } catch (error) {
+      this.#say(error);
+    }
   }
 
   /** Reads the run after its end, or after a lost connection; closes the stream if it has ended. */

@@ -204,6 +204,24 @@ def test_a_stop_that_waits_a_run_that_is_held_back_and_a_bench_that_is_refused_a
     assert client.get(f"/api/runs/{held.id}").json()["error"] is None
 
 
+def test_an_open_page_shows_that_its_queued_run_is_held_back_and_that_somebody_else_lets_it_begin(
+    benches: tuple[Any, ManyBenches], fresh_page: Any, expect: Any
+) -> None:
+    client, halls = benches
+    run = halls.order("rig-02", "AS-9")
+    with fresh_page.expect_response(f"**/api/runs/{run.id}/events"):
+        fresh_page.goto(f"{client.base_url.join('/')}#/runs/{run.id}")
+    expect(fresh_page.locator("#status")).to_have_text("queued")
+    expect(fresh_page.locator("#run-reason")).to_have_count(0)
+    halls.hold(run)
+    expect(fresh_page.locator("#run-reason")).to_contain_text("begins once somebody says Go")
+    expect(fresh_page.locator("#go-held")).to_be_visible()
+    assert client.post(f"/api/runs/{run.id}/resume").is_success
+    halls.begin(run)
+    expect(fresh_page.locator("#status")).to_have_text("running")
+    expect(fresh_page.locator("#go-held")).to_have_count(0)
+
+
 def test_benches_come_and_go_while_somebody_watches(
     benches: tuple[Any, ManyBenches], show: Show, expect: Any
 ) -> None:
