@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -147,11 +146,38 @@ LOOK_S = 0.02
 GRAVITY_S = 0.5
 """How long gravity is averaged, where it is held against a stage that cannot home or a mount."""
 MOST_CLOCKS = 4000
-"""Pairs of the two clocks that are kept: some minutes of looks."""
+"""Pairs of the two clocks that are kept at least: some minutes of looks."""
 LATELY = 50
 """Newest of these pairs: two seconds of looks."""
 WATCH_S = 0.5
 """How often a stage that is to stand is asked whether it does."""
+
+
+class SeenClocks:
+    """The newest pairs of the host's clock and the board's at the last sample seen by then."""
+
+    def __init__(self) -> None:
+        self._pairs = np.empty(
+            (2 * MOST_CLOCKS, 2)
+        )  # as objects twenty rigs' would fill 10 MB within minutes
+        self._count = 0
+
+    def append(self, host_s: float, board_s: float) -> None:
+        """Takes a pair; of twice as many as are kept the older half goes."""
+        if self._count == len(self._pairs):
+            self._pairs[:MOST_CLOCKS] = self._pairs[MOST_CLOCKS:]
+            self._count = MOST_CLOCKS
+        self._pairs[self._count] = host_s, board_s
+        self._count += 1
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._count = 0
+
+    @property
+    def pairs_s(self) -> FloatArray:
+        """(k, 2) in the order seen."""
+        return self._pairs[: self._count]
 
 
 @dataclass
@@ -162,7 +188,7 @@ class AcquisitionLoop:
         clock_s: of the run when the board's clock stands at 0.
         stage_deg: elevation last reported, None before the first report.
         stood_at_s: board's clock at an instant at which the stage stood and the next move had not begun.
-        clocks: the host's clock, and the board's at the last sample seen by then: the newest of such pairs.
+        clocks: what was seen of the host's and the board's.
         rate_hz: samples a second to expect: the plan's, or the one rate that the board has.
     """
 
@@ -174,7 +200,7 @@ class AcquisitionLoop:
     stage_deg: float | None = None
     stood_at_s: float = 0.0
     rate_hz: float = field(init=False)
-    clocks: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MOST_CLOCKS))
+    clocks: SeenClocks = field(default_factory=SeenClocks)
     _untold: list[Motion] = field(default_factory=list)
     _stood_deg: float | None = None
     _watched_s: float = 0.0
@@ -290,7 +316,7 @@ class AcquisitionLoop:
         A stage on the move, as of `motion`, is told with the reading of the same instant, once that has come.
         """
         if self.stream.pump(LOOK_S):
-            self.clocks.append((self.rig.clock.now_s(), self.stream.clock_s))
+            self.clocks.append(self.rig.clock.now_s(), self.stream.clock_s)
         self.control.check()
         if self.rig.clock.now_s() - self._watched_s > WATCH_S:
             self.see_that_it_stands()
@@ -298,7 +324,7 @@ class AcquisitionLoop:
 
     def _tell(self, motion: Motion | None) -> None:
         at_s, stage_deg, reading_deg = self.stream.clock_s, self.stage_deg, self.stream.reading_deg
-        if motion is None or not self.clocks or math.isnan(motion.asked_s[0]):
+        if motion is None or not len(self.clocks.pairs_s) or math.isnan(motion.asked_s[0]):
             self._untold.clear()
         else:
             self._untold.append(motion)
@@ -311,10 +337,11 @@ class AcquisitionLoop:
 
     def _board_s(self, motion: Motion) -> float:
         """The board's clock at a look at the stage, by the samples that came promptest of late."""
-        (first_s, first_board_s), (now_s, board_s) = self.clocks[0], self.clocks[-1]
+        pairs_s = self.clocks.pairs_s
+        (first_s, first_board_s), (now_s, board_s) = pairs_s[[0, -1]].tolist()
         rate = (board_s - first_board_s) / (now_s - first_s) if now_s > first_s else 1.0
-        late = [self.clocks[-k] for k in range(1, min(LATELY, len(self.clocks)) + 1)]
-        return max(board_s - rate * host_s for host_s, board_s in late) + rate * sum(motion.asked_s) / 2
+        late_s = pairs_s[-LATELY:]
+        return float((late_s[:, 1] - rate * late_s[:, 0]).max()) + rate * sum(motion.asked_s) / 2
 
     def wait_until(self, clock_s: float) -> None:
         """Looks until the board's clock has come so far."""

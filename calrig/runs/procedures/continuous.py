@@ -485,7 +485,7 @@ class ContinuousSweep:
             )
         bias_dps = taking.gyro.bias_with_dps(dwell)
         try:
-            clocks = clock_line(np.array(pace.clocks))
+            clocks = clock_line(pace.clocks.pairs_s)
             turn = seen.even_turn(axis.run_up_deg() + RUN_UP_S * self.plan.turn_dps, clocks)
         except ValueError as error:
             raise UnevenTurn(
