@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 
 import pytest
@@ -12,7 +13,7 @@ from calrig.instruments.errors import PortError
 from calrig.instruments.ports import clock_of, open_port
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
+from calrig.simulator.virtual_clock import VirtualClock, Wait
 
 
 @pytest.fixture
@@ -58,6 +59,14 @@ def test_who_is_told_goes_on_at_that_instant_and_who_is_not_when_time_is_up(cloc
         news.notify_all()
     listener.join()
     assert ended == [(True, 4.0), (False, 14.0)]
+
+
+def test_what_is_waited_for_in_vain_for_hours_takes_no_memory(clock):
+    news = clock.condition()
+    with news:
+        for _ in range(100):
+            assert not news.wait_for(lambda: False, 60.0)
+    assert sum(isinstance(one, Wait) for one in gc.get_objects()) < 10
 
 
 def test_a_thread_that_outlasts_a_join_is_waited_for_so_long_in_its_own_time(clock):
