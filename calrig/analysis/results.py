@@ -132,7 +132,10 @@ def ending_of(run: Run) -> Ending:
 
 
 def pose_residuals_deg(run: Run, poses: Sequence[Pose]) -> list[float | None]:
-    """What a run's bias and scale leave of each of its poses; None throughout before it has a result."""
-    if run.result is None:
+    """What a run's bias and scale leave of each of its poses.
+
+    None throughout before it has a result, and where the reading does not follow the stage.
+    """
+    if run.result is None or run.result.rms_calibrated_deg is None:
         return [None] * len(poses)
     return residuals(poses, run.result.bias_deg, run.result.scale)

@@ -12,6 +12,8 @@ from calrig.estimation.angles import FloatArray, wrap_deg
 
 MIN_SCALE = 1e-6
 """A smaller one says that the reading does not follow the stage: there is nothing to divide by."""
+HALF, STDS = 0.5, 3.0
+"""Nor does one that noise may have made: below a half, and within so many standard errors of 0."""
 
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 
@@ -37,6 +39,20 @@ class Line:
     covariance: Matrix2 | None
     residual_std_deg: float | None
     effect_parameters: int = 0
+
+    @property
+    def follows(self) -> bool:
+        """Whether the reading follows the stage, so that errors of readings are errors of an elevation."""
+        if self.scale is None:
+            return True
+        may_be_noise = abs(self.scale) < min(HALF, STDS * (self.scale_std or 0.0))
+        return abs(self.scale) >= MIN_SCALE and not may_be_noise
+
+    def left_deg(self, theta_deg: FloatArray, reading_deg: FloatArray) -> FloatArray:
+        """(n,) `residuals_deg` of readings; NaN throughout where they do not follow the stage."""
+        if not self.follows:
+            return np.full(len(theta_deg), math.nan)
+        return residuals_deg(theta_deg, reading_deg, self.bias_deg, self.scale)
 
 
 def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False) -> Line:

@@ -19,7 +19,7 @@ StoppedBy = Literal["plan", "until"]
 DoubtKind = Literal[
     "move_mismatch",  # the unit measured another rotation than the stage reported
     "missing_poses",  # poses of the plan were not measured
-    "ambiguous_readings",  # readings start anew after a turn, and some stand for two elevations
+    "ambiguous_readings",  # some stand for two elevations, or the reading does not follow the stage
     "clamping",  # gravity finds the unit at another clamping angle than the plan's
     "changed",  # bias or scale moved by more than repeatability and remounting explain
     "residual",  # the residual is far larger than that of the calibration in force

@@ -159,7 +159,7 @@ class Scheduler:
     def register(self, among: Waits, timeout_s: float | None) -> Wait:
         """Begin a wait of the calling thread, listed for the thread that ends it; `rest` must follow."""
         with self.lock:
-            among[:] = [other for other in among if not other.is_over]  # those that timed out: nobody ends them
+            among[:] = [other for other in among if not other.is_over]  # of those that timed out
             wait = self._begin_wait(timeout_s)
             among.append(wait)
             return wait

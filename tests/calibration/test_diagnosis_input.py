@@ -133,6 +133,23 @@ def test_a_reading_that_never_changes_is_refused() -> None:
         diagnose([CONSTANT["reading_deg"](run_of(sweeps()))])
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("span_deg", [1.0, 120.0])
+def test_readings_of_noise_alone_are_refused_without_an_error_in_degrees(seed: int, span_deg: float) -> None:
+    """Scales of 0.000 and 0.1 ± 0.2 made errors of 34° and 2.5° of noise of 0.5°."""
+    targets = sweeps() * span_deg / 120.0
+    noise_deg = np.random.default_rng(seed).normal(0.0, 0.5, len(targets))
+    with pytest.raises(DiagnosisError, match="not seen to follow"):
+        diagnose([run_of(targets, reading_deg=5.0 + noise_deg)])
+
+
+def test_a_reading_that_never_changes_but_for_one_outlier_is_refused() -> None:
+    stuck = CONSTANT["reading_deg"](run_of(sweeps()))
+    stuck[40] = replace(stuck[40], reading_deg=15.0)
+    with pytest.raises(DiagnosisError, match="not seen to follow"):
+        diagnose([stuck])
+
+
 @pytest.mark.parametrize("bias_deg", [0.0, 0.5, -179.3])
 def test_readings_without_any_noise_are_diagnosed(bias_deg: float) -> None:
     exact = [replace(p, reading_deg=bias_deg + p.target_deg) for p in run_of(sweeps())]

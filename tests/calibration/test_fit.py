@@ -120,6 +120,25 @@ def test_readings_that_do_not_follow_the_stage_leave_no_residual_to_state():
     assert np.isnan(residuals_deg(GRID_DEG, np.full(len(GRID_DEG), 3.0), line.bias_deg, line.scale)).all()
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_readings_of_noise_alone_do_not_follow_the_stage_and_those_of_volts_do(seed):
+    noise = np.random.default_rng(seed).normal(0.0, 0.02, len(GRID_DEG))
+    stuck, volts = fit_line(GRID_DEG, 3.0 + noise), fit_line(GRID_DEG, 0.0278 * GRID_DEG + 0.01 * noise)
+
+    assert not stuck.follows
+    assert np.isnan(stuck.left_deg(GRID_DEG, 3.0 + noise)).all()
+    assert volts.follows
+
+
+def test_a_scale_that_few_poses_tell_badly_is_one_all_the_same():
+    line = fit_line(np.array([-0.5, 0.0, 0.5]), np.array([-0.8, 0.6, 0.6]))
+
+    assert line.scale_std is not None
+    assert line.scale is not None
+    assert abs(line.scale) < 3.0 * line.scale_std
+    assert line.follows
+
+
 @pytest.mark.parametrize(
     ("theta_deg", "reading_deg", "complaint"),
     [([], [], "needs poses"), ([1.0, 2.0], [1.0], "needs poses"), ([1.0, np.nan], [1.0, 1.0], "not finite")],

@@ -15,6 +15,7 @@ from calrig.calibration.poses import Pose
 from calrig.calibration.results.pose_errors import residuals
 from calrig.calibration.results.result import RELATIVE, apply_calibration, build_result
 from calrig.calibration.uncertainty.budget import Reference
+from calrig.calibration.uncertainty.doubts import pose_doubts
 from calrig.model.result import Gyro
 
 
@@ -151,6 +152,18 @@ def test_a_stuck_sensor_gives_null_where_nothing_can_be_divided():
     assert result.rms_calibrated_deg is None
     assert residuals(poses, result.bias_deg, result.scale) == [None, None, None]
     json.dumps(result.to_dict(), allow_nan=False)
+
+
+def test_a_stuck_sensor_that_makes_noise_has_no_calibrated_error_and_is_not_released_by_itself():
+    noise = np.random.default_rng(1).normal(0.0, 0.02, 20)
+    poses = [Pose(t, 5.0 + n) for t, n in zip([-20.0, -10.0, 0.0, 10.0, 20.0] * 4, noise, strict=True)]
+
+    result = build_result(poses)
+
+    assert result.rms_raw_deg > 10.0
+    assert result.rms_calibrated_deg is None
+    assert result.over_range is None
+    assert [doubt.kind for doubt in pose_doubts(result, 0)] == ["ambiguous_readings"]
 
 
 def test_a_run_without_poses_has_no_result():

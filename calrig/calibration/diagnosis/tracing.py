@@ -30,8 +30,8 @@ from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, 
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.effects.unnamed import TIMES
-from calrig.calibration.line import fit_line, residuals_deg, rms
-from calrig.calibration.poses import Pose, complete
+from calrig.calibration.line import MIN_SCALE, fit_line, residuals_deg, rms
+from calrig.calibration.poses import DiagnosisError, Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE
 from calrig.calibration.regression.effect import APPROACH
@@ -101,6 +101,7 @@ def diagnose(
     kept, outliers = _parted(whole, findings)
     left = findings.responses
     findings = replace(findings, found=standing_without_one(left, findings.found))
+    _require_that_readings_follow(findings)
     held_out: CrossValidation | None = None
     blocks: tuple[Blocked, ...] = ()
     harm: list[str] = []
@@ -116,6 +117,7 @@ def diagnose(
         predictive = not_predictive(left, findings.found, findings.fitted, of_kept)
         findings = replace(findings, found=predictive)
         blocks = blocked(left, [f.candidate for f in findings.found])
+    _require_that_readings_follow(findings)  # without what has left since, too
     lack = _lack_of_fit(kept, findings)
     said = warning_of(lack, found=bool(findings.found))
     told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
@@ -157,6 +159,18 @@ def _unseen_by_gravity(findings: Findings) -> str | None:
         f"the reading strays by {angle_text(reading_deg, 2)} (RMS) where the accelerometer's angle "
         f"strays by {angle_text(angle_deg, 2)}: gravity does not see what moves it, so look at "
         "what filters the reading, or leave out the accelerometer's columns where they are of another sensor"
+    )
+
+
+def _require_that_readings_follow(findings: Findings) -> None:
+    """Raise DiagnosisError where the readings may be the same, or noise, at every elevation."""
+    r = findings.responses
+    line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
+    if abs(fitted_scale(r, findings.fitted.beta)) >= MIN_SCALE and (findings.found or line.follows):
+        return
+    raise DiagnosisError(
+        f"the readings are not seen to follow the {np.ptp(r.theta_deg):.3g}° that the elevation turns: look "
+        "at reading_deg and at what fills it, or turn further"
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from calrig.calibration.line import MIN_SCALE
 from calrig.calibration.regression.channels import BoolArray
 from calrig.estimation.angles import FloatArray
 
@@ -84,7 +85,7 @@ class ReadingTurns:
     @property
     def turn_of_reading_deg(self) -> float:
         """What a turn of the reading is in elevation."""
-        return TURN_DEG / abs(self.scale)
+        return TURN_DEG / max(abs(self.scale), MIN_SCALE)
 
     @property
     def is_left_alone(self) -> bool:

@@ -109,7 +109,7 @@ def build_result(
     one_angle = len({pose.target_deg for pose in poses}) == 1
     line = fit_line(theta, reading, one_angle=one_angle)
     with_effects = _line_with_effects(poses, theta, reading, effects)
-    calibrated_deg = residuals_deg(theta, reading, line.bias_deg, line.scale)
+    calibrated_deg = line.left_deg(theta, reading)
     noise_deg = _pooled_noise_deg(poses)
     if with_effects is not None and doubt is not None:
         with_effects = _with_fewer_degrees(with_effects[0], len(poses), doubt.fitted_here), with_effects[1]
@@ -205,7 +205,7 @@ def _line_with_effects(
         without = without_effects_deg(poses, line, effects, given)
     except ApplyError:
         return None
-    return line, residuals_deg(theta, without, line.bias_deg, line.scale)
+    return line, line.left_deg(theta, without)
 
 
 def _with_fewer_degrees(line: Line, n_poses: int, fitted: int) -> Line:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.line import MIN_SCALE, Line
+from calrig.calibration.line import Line
 from calrig.calibration.uncertainty.coverage import COVERAGE, coverage_factor
 from calrig.estimation.angles import FloatArray
 from calrig.model.result import RangeErrors, Reference, ReferenceFigures
@@ -172,7 +172,7 @@ def _mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
 def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) -> float | None:
     if line.scale is None or line.covariance is None or line.residual_std_deg is None:
         return None
-    if abs(line.scale) < MIN_SCALE:
+    if not line.follows:
         return None
     of_line = _mean_over_range(np.array(line.covariance), theta_deg)
     scatter_deg = line.residual_std_deg if scatter_deg is None else scatter_deg

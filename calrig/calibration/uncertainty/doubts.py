@@ -95,6 +95,13 @@ def pose_doubts(result: Result, mismatches: int) -> list[Doubt]:
                 "together.",
             )
         )
+    if result.rms_calibrated_deg is None:
+        found.append(
+            Doubt(
+                "ambiguous_readings",
+                "The reading does not follow the stage: one reading, or noise, stands for every elevation.",
+            )
+        )
     if result.lost_says:
         found.append(Doubt("missing_poses", result.lost_says))
     return found
