@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from posed import posed
 
-from calrig.calibration.diagnosis.candidates import Candidate, candidate_of
-from calrig.calibration.diagnosis.ranking import SelectedEffect
-from calrig.calibration.diagnosis.reselection import eliminated, is_admissible
+from calrig.calibration.diagnosis.candidates import Candidate, candidate_of, candidates_of
+from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
+from calrig.calibration.diagnosis.reselection import (
+    eliminated,
+    is_admissible,
+    penalised_criterion,
+    reselected,
+)
 from calrig.calibration.effects import effect_of
 from calrig.calibration.regression.responses import Responses, responses_of
 
@@ -69,6 +74,73 @@ def test_two_waves_that_cancel_are_refused_and_two_that_are_there_are_not() -> N
     assert not is_admissible(r, waves(r, 150.0, 165.0))
     both = run_of(0.1 * np.sin(np.radians(8.0 * THETA_DEG)) + 0.1 * np.sin(np.radians(20.0 * THETA_DEG)))
     assert is_admissible(both, waves(both, 45.0, 18.0))
+
+
+def test_two_waves_that_cancel_are_refused_beside_a_large_one_too() -> None:
+    """What all three add together is large, so their sum does not show how little is left of the two."""
+    r = run_of(1e-6 * THETA_DEG**3 + 3.0 * np.sin(np.radians(8.0 * THETA_DEG)))
+    assert not is_admissible(r, waves(r, 45.0, 150.0, 165.0))
+
+
+TO_AND_FRO_DEG = np.concatenate([half := np.sort(RNG.uniform(-180.0, 180.0, 100)), half[::-1]])
+TO_AND_FRO = np.radians(TO_AND_FRO_DEG)
+LASTING_S = 5.0 * np.arange(len(TO_AND_FRO))
+
+
+def turn_of(error_deg: np.ndarray) -> Responses:
+    """A turn and back, whose readings err by so much, noise beside."""
+    noise_deg = np.random.default_rng(3).normal(0.0, NOISE_DEG, len(TO_AND_FRO))
+    return responses_of(
+        [
+            posed(
+                target_deg=TO_AND_FRO_DEG,
+                reading_deg=0.5 + TO_AND_FRO_DEG + error_deg + noise_deg,
+                time_s=LASTING_S,
+            )
+        ]
+    )
+
+
+def orders(r: Responses, *wanted: int) -> list[Candidate]:
+    """Orders of the turn, 1 as an eccentricity."""
+    waves = [c for c in candidates_of(r) if c.beside is None and c.shape.form == "order of the turn"]
+    found = [next(c for c in waves if c.shape.at["order"] == order) for order in wanted if order > 1]
+    return [one(r, "stage_eccentricity"), *found] if 1 in wanted else found
+
+
+def compared(r: Responses, *model: Candidate) -> list[Candidate]:
+    """The effects of a model once each has been compared with its competitors."""
+    found = [SelectedEffect(candidate, (), 0.001, np.inf) for candidate in model]
+    return [f.candidate for f in reselected(r, candidates_of(r), found, 0, thorough=False)]
+
+
+def test_of_a_series_that_replaces_an_effect_only_the_terms_enter_that_are_needed() -> None:
+    """A term without a size would give its place to whatever explains more, untested."""
+    sizes_deg = {1: 0.1, 2: 0.5, 4: 0.1, 8: 0.05}
+    r = turn_of(sum(a * np.sin(k * TO_AND_FRO + 0.3) for k, a in sizes_deg.items()))
+    found = compared(r, one(r, "axis_mismatch", "gain_pct"), one(r, "backlash"))
+    terms = [c for c in found if c.shape.series]
+    whole = penalised_criterion(r, found)
+    assert len(terms) == len(sizes_deg)
+    assert all(penalised_criterion(r, [c for c in found if c is not t]) > whole + MARGIN for t in terms)
+
+
+def test_an_order_of_the_turn_does_not_give_its_place_to_a_drift() -> None:
+    wavy = 0.5 * np.sin(TO_AND_FRO) + 0.5 * np.sin(2.0 * TO_AND_FRO) + 0.02 * np.sin(3.0 * TO_AND_FRO)
+    r = turn_of(wavy + 0.0002 * LASTING_S)
+    assert {c.label for c in compared(r, *orders(r, 1, 2, 3))} <= {"stage_eccentricity", "stage_periodic"}
+
+
+def test_no_effect_is_replaced_by_one_that_the_others_add_up_to() -> None:
+    """A smooth curve over a turn is the orders of the turn once more."""
+    bump = 0.2 * np.exp(-(((TO_AND_FRO_DEG - 100.0) / 12.0) ** 2))
+    r = turn_of(
+        0.3 * np.sin(TO_AND_FRO) + 0.5 * np.sin(2.0 * TO_AND_FRO) + 0.1 * np.sin(4.0 * TO_AND_FRO) + bump
+    )
+    (short,) = waves(r, 36.8)
+    model = [*orders(r, 1, 2, 3, 4, 6, 8), short]
+    assert is_admissible(r, model)
+    assert is_admissible(r, compared(r, *model))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -109,6 +109,28 @@ def penalised_criterion(r: Responses, model: Sequence[Candidate]) -> float:
     """Return −2 log likelihood of a model plus log n for each parameter (BIC)."""
     parameters = sum(c.parameters for c in model)
     return fitted_model(r, model).fitted.criterion + float(np.log(len(r))) * parameters
+
+
+def pruned(
+    terms: Sequence[Candidate], criterion: Callable[[Sequence[Candidate]], float], margin: float
+) -> Sequence[Candidate]:
+    """Drop the least needed of several terms while that costs less than a margin of the criterion."""
+    kept = list(terms)
+    while len(kept) > 1:
+        fewer = min(([term for term in kept if term is not one] for one in kept), key=criterion)
+        if criterion(fewer) - criterion(kept) >= margin:
+            break
+        kept = fewer
+    return kept
+
+
+def needed_terms(
+    r: Responses, accepted: Sequence[Candidate], terms: Sequence[Candidate]
+) -> Sequence[Candidate]:
+    """Return the terms of a series that a model needs, such as some orders of the turn; else all."""
+    if not terms[0].shape.series:
+        return terms
+    return pruned(terms, lambda kept: penalised_criterion(r, [*accepted, *kept]), MARGIN)
 
 
 def is_on_trial(candidate: Candidate) -> bool:
@@ -235,12 +257,14 @@ def _against_rivals(
     """Replace an effect by the best of its competitors, with all others in the model."""
     others = _others(found, one)
     model = fitted_model(r, others)
-    # a curve takes a little from every order of a turn
+    # a curve takes a little from every order of a turn; what is of time or direction has to pass a test
     names_only = one.candidate.shape.series != "" and not curves
+    its = one.candidate.covariate
 
     def competes(c: Candidate) -> bool:
         is_single = c.beside is None or c.shape.series or (_brings(c, one) and not is_on_trial(c))
-        return bool(is_single) and (c.named or not names_only)
+        is_alike = not names_only or (c.named and all(member.covariate == its for member in c.members))
+        return bool(is_single) and is_alike
 
     rivals = offered(model.responses, candidates, others, set(), competes)
     if not rivals:
@@ -251,9 +275,14 @@ def _against_rivals(
     else:
         again = named(r, others, rivals, ratios, one.p_value, one.candidate)
     place = next(k for k, f in enumerate(found) if f is one)
-    members = [replace(again, candidate=member).at_elevations_of(r) for member in again.candidate.members]
+    # a term without a size would give its place in the model to an effect that no test has passed
+    terms = needed_terms(r, others, again.candidate.members)
+    members = [replace(again, candidate=term).at_elevations_of(r) for term in terms]
     changed = [*found[:place], *members, *found[place + 1 :]]
     before, after = ([f.candidate for f in some] for some in (found, changed))
+    is_another = [m.candidate.label for m in members] != [one.candidate.label]
+    if is_another and is_admissible(r, before) and not is_admissible(r, after):
+        return found
     if not fitted_model(r, before).responses.is_delayed or not _are_possible(r, before):
         return changed
     # ranked by fits beside the others, which stay linear where they do not come to rest: a delay bends most
@@ -307,7 +336,7 @@ Regression Diagnostics, 1980, section 3.2)."""
 SAME_THING = 1e3
 """Condition index beyond which two effects are one under two names."""
 CANCELS = 3.0
-"""Largest part of an effect in the reading, as a multiple of the sum of all effects."""
+"""Largest part of an effect in the reading, as a multiple of what several add together."""
 
 
 def is_admissible(r: Responses, accepted: Sequence[Candidate]) -> bool:
@@ -347,12 +376,20 @@ def _condition(r: Responses, columns: FloatArray, fitted: Fit, own: Sequence[sli
 
 
 def _cancel(columns: FloatArray, fitted: Fit, own: Sequence[slice]) -> bool:
-    """Return whether two effects add to the reading many times what all of them add together."""
+    """Return whether two effects add to the reading many times what they, or all effects, add together.
+
+    Two are compared with each other too: a large effect beside them hides how little is left of both.
+    """
     parts = np.stack([columns[:, 0, at] @ fitted.beta[at] for at in own])
     base = columns[:, 0, : own[0].start]
     beside = parts - (base @ np.linalg.lstsq(base, parts.T, rcond=None)[0]).T
-    together = float(beside.sum(axis=0).std())
-    return int((beside.std(axis=1) > CANCELS * together).sum()) >= 2
+    pairs = [list(pair) for pair in combinations(range(len(beside)), 2)]
+    return any(_two_exceed(beside[those]) for those in [list(range(len(beside))), *pairs])
+
+
+def _two_exceed(parts: FloatArray) -> bool:
+    together = float(parts.sum(axis=0).std())
+    return int((parts.std(axis=1) > CANCELS * together).sum()) >= 2
 
 
 def eliminated(

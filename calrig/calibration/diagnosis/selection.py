@@ -31,14 +31,15 @@ from calrig.calibration.diagnosis.candidates import (
     model_columns,
 )
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
-from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, MARGIN, SelectedEffect, named, pair
+from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import (
     Rivals,
     eliminated,
     is_admissible,
     is_on_trial,
+    needed_terms,
     offered,
-    penalised_criterion,
+    pruned,
     reselected,
     with_known_places,
 )
@@ -95,19 +96,6 @@ def is_practically_significant(r: Responses, accepted: Sequence[Candidate], step
     return part.std() >= LEAST_SHARE * left_deg and sure >= least and helps
 
 
-def _pruned(
-    terms: Sequence[Candidate], criterion: Callable[[Sequence[Candidate]], float], margin: float
-) -> Sequence[Candidate]:
-    """Drop the least needed of several terms while that costs less than a margin of the criterion."""
-    kept = list(terms)
-    while len(kept) > 1:
-        fewer = min(([term for term in kept if term is not one] for one in kept), key=criterion)
-        if criterion(fewer) - criterion(kept) >= margin:
-            break
-        kept = fewer
-    return kept
-
-
 def forward_step(
     r: Responses,
     accepted: Sequence[Candidate],
@@ -140,13 +128,12 @@ def forward_step(
     members: Sequence[Candidate] = best.candidate.members
     if best.candidate.effect.covariate is RUN:  # a change between runs costs one parameter
         bic_penalty = float(np.log(len(r)))
-        members = _pruned(
+        members = pruned(
             members,
             lambda kept: fitted_model(r, [*accepted, *kept]).fitted.criterion + bic_penalty * len(kept),
             0.0,
         )
-    if best.candidate.shape.series:
-        members = _pruned(members, lambda kept: penalised_criterion(r, [*accepted, *kept]), MARGIN)
+    members = needed_terms(r, accepted, members)
     return [replace(best, candidate=member) for member in members]
 
 
