@@ -157,9 +157,7 @@ class SeenClocks:
     """The newest pairs of the host's clock and the board's at the last sample seen by then."""
 
     def __init__(self) -> None:
-        self._pairs = np.empty(
-            (2 * MOST_CLOCKS, 2)
-        )  # as objects twenty rigs' would fill 10 MB within minutes
+        self._pairs = np.empty((2 * MOST_CLOCKS, 2))  # as objects those of twenty rigs took 10 MB
         self._count = 0
 
     def append(self, host_s: float, board_s: float) -> None:
