@@ -112,9 +112,12 @@ def cross_validate(
 
 
 def _in_all_poses(found: Candidate, r: Responses, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return an effect of a fold in all poses: built anew, or as an arc with outliers has offered it."""
+    """Return an effect of a fold in all poses: as offered, or built anew at a refined place.
+
+    A curve built anew would have other knots where outliers have left, and its coefficients another meaning.
+    """
     offered = (c for c in candidates if (c.label, c.shape.form) == (found.label, found.shape.form))
-    return rebuilt(found, r) or next((c for c in offered if c.shape.at == found.shape.at), None)
+    return next((c for c in offered if c.shape.at == found.shape.at), None) or rebuilt(found, r)
 
 
 def without_harm(

@@ -17,10 +17,9 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import Candidate, at_its_elevations, harmonics_of, own_columns
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect, at_best_place, named
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
-from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.regression.channels import READING
 from calrig.calibration.regression.effect import HIDDEN, Parameters
-from calrig.calibration.regression.noise_model import Fit, stacked
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import THE_TURN
 from calrig.estimation.angles import FloatArray
@@ -330,13 +329,11 @@ def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> C
     return min(alike, key=lambda c: abs(c.shape.at[name] - candidate.shape.at[name]), default=None)
 
 
-LARGEST_CONDITION = 30.0
-"""Condition index beyond which coefficients are determined mainly by each other (Belsley, Kuh & Welsch,
-Regression Diagnostics, 1980, section 3.2)."""
 SAME_THING = 1e3
-"""Condition index beyond which two effects are one under two names."""
+"""Condition index beyond which two effects are one under two names (Belsley, Kuh & Welsch, Regression
+Diagnostics, 1980, section 3.2)."""
 CANCELS = 3.0
-"""Largest part of an effect in the reading, as a multiple of what several add together."""
+"""Largest part of an effect in the responses, as a multiple of what several add together."""
 
 
 def is_admissible(r: Responses, accepted: Sequence[Candidate]) -> bool:
@@ -351,11 +348,36 @@ def is_admissible(r: Responses, accepted: Sequence[Candidate]) -> bool:
     if len(accepted) < 2:
         return True
     model = fitted_model(r, accepted)
-    columns, fitted, r = model.columns, model.fitted, model.responses
-    own = own_columns(columns, accepted)
-    condition = _condition(r, columns, fitted, own)
-    cancels = condition > LARGEST_CONDITION and _cancel(columns, fitted, own)
-    return condition < SAME_THING and not cancels
+    own = own_columns(model.columns, accepted)
+    beside = _beside_base(model, own)
+    parts = np.stack([one @ model.fitted.beta[at] for one, at in zip(beside, own, strict=True)])
+    return _condition(beside) < SAME_THING and not _cancel(parts)
+
+
+def admitted(
+    r: Responses, found: Sequence[SelectedEffect], entered: list[SelectedEffect], known: int
+) -> list[SelectedEffect] | None:
+    """Return the effects of a model that can be true together: all, or all but one that others stand for.
+
+    Args:
+        r: the responses.
+        found: the effects before; None is returned where nothing admissible is better.
+        entered: with those that entered.
+        known: how many of the first were found in another base, and stay.
+    """
+    if is_admissible(r, _candidates(entered)):
+        return entered
+    followed = {f.candidate.follows for f in entered}
+    may_leave = [f for f in entered[known:] if f.candidate.name not in followed]
+    fewer = [[f for f in entered if f is not one] for one in may_leave]
+    fewer = [those for those in fewer if is_admissible(r, _candidates(those))]
+    best = min(fewer, key=lambda those: penalised_criterion(r, _candidates(those)), default=list(found))
+    is_better = penalised_criterion(r, _candidates(best)) < penalised_criterion(r, _candidates(found))
+    return best if is_better else None
+
+
+def _candidates(found: Sequence[SelectedEffect]) -> list[Candidate]:
+    return [f.candidate for f in found]
 
 
 def _are_possible(r: Responses, accepted: Sequence[Candidate]) -> bool:
@@ -365,31 +387,33 @@ def _are_possible(r: Responses, accepted: Sequence[Candidate]) -> bool:
     return all(c.is_possible(model.fitted.beta[at]) for c, at in zip(accepted, own, strict=True))
 
 
-def _condition(r: Responses, columns: FloatArray, fitted: Fit, own: Sequence[slice]) -> float:
-    """Return the condition index of the effects in all responses, bias and scale projected out."""
-    design = stacked(fitted.noise, r.starts, columns)
-    base, effects = design[:, : own[0].start], design[:, own[0].start :]
-    beside = effects - base @ np.linalg.lstsq(base, effects, rcond=None)[0]
-    size = np.linalg.norm(beside, axis=0)
-    values = np.linalg.svd(beside / np.where(size > 0.0, size, 1.0), compute_uv=False)
+def _beside_base(model: Model, own: Sequence[slice]) -> list[FloatArray]:
+    """Return (n·J, p) columns of each effect in all responses over their residuals, without the base."""
+    noise = np.hypot(model.fitted.residuals.std(axis=0), model.responses.rounding)
+    design = (model.columns / noise[:, None]).reshape(-1, model.columns.shape[2])
+    base = design[:, : own[0].start]
+    beside = design - base @ np.linalg.lstsq(base, design, rcond=None)[0]
+    return [beside[:, at] for at in own]
+
+
+def _condition(beside: Sequence[FloatArray]) -> float:
+    """Return the condition index of effects; how a curve's own columns lie to each other says nothing."""
+    values = np.linalg.svd(np.hstack([np.linalg.qr(one)[0] for one in beside]), compute_uv=False)
     return float(values[0] / max(values[-1], float(np.finfo(np.float64).tiny)))
 
 
-def _cancel(columns: FloatArray, fitted: Fit, own: Sequence[slice]) -> bool:
-    """Return whether two effects add to the reading many times what they, or all effects, add together.
+def _cancel(parts: FloatArray) -> bool:
+    """Return whether two effects add to the responses many times what they, or all effects, add together.
 
     Two are compared with each other too: a large effect beside them hides how little is left of both.
     """
-    parts = np.stack([columns[:, 0, at] @ fitted.beta[at] for at in own])
-    base = columns[:, 0, : own[0].start]
-    beside = parts - (base @ np.linalg.lstsq(base, parts.T, rcond=None)[0]).T
-    pairs = [list(pair) for pair in combinations(range(len(beside)), 2)]
-    return any(_two_exceed(beside[those]) for those in [list(range(len(beside))), *pairs])
+    pairs = [list(pair) for pair in combinations(range(len(parts)), 2)]
+    return any(_two_exceed(parts[those]) for those in [list(range(len(parts))), *pairs])
 
 
 def _two_exceed(parts: FloatArray) -> bool:
-    together = float(parts.sum(axis=0).std())
-    return int((parts.std(axis=1) > CANCELS * together).sum()) >= 2
+    together = float(np.linalg.norm(parts.sum(axis=0)))
+    return int((np.linalg.norm(parts, axis=1) > CANCELS * together).sum()) >= 2
 
 
 def eliminated(

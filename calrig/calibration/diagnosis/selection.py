@@ -34,6 +34,7 @@ from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
 from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import (
     Rivals,
+    admitted,
     eliminated,
     is_admissible,
     is_on_trial,
@@ -499,10 +500,13 @@ def _search(
         fresh = steps[0] if rivals is not None and len(steps) == 1 else None
         entered = reselected(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh, thorough=False)
         entered = with_known_places(r, candidates, entered)
-        if found and not is_admissible(r, [f.candidate for f in entered]):
-            refused.add(steps[0].candidate.label)
-            earlier = verdict
-            continue
+        if found:
+            admissible = admitted(r, found, entered, len(known))
+            if admissible is None:
+                refused.add(steps[0].candidate.label)
+                earlier = verdict
+                continue
+            entered = admissible
         found, dropped = eliminated(r, entered, len(known))
         refused.update(dropped)
     model = fitted_model(r, [f.candidate for f in found])
