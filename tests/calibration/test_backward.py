@@ -9,6 +9,7 @@ from posed import posed
 from calrig.calibration.diagnosis.candidates import Candidate, candidate_of, candidates_of
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.reselection import (
+    admitted,
     eliminated,
     is_admissible,
     penalised_criterion,
@@ -82,6 +83,14 @@ def test_two_waves_that_cancel_are_refused_beside_a_large_one_too() -> None:
     assert not is_admissible(r, waves(r, 45.0, 150.0, 165.0))
 
 
+def test_of_effects_that_cancel_one_leaves_and_what_was_there_before_stays() -> None:
+    r = run_of(1e-6 * THETA_DEG**3 + 3.0 * np.sin(np.radians(8.0 * THETA_DEG)))
+    entered = [SelectedEffect(candidate, (), 0.001, np.inf) for candidate in waves(r, 45.0, 150.0, 165.0)]
+    left = admitted(r, entered[:1], entered, known=2)
+    assert left == entered[:2]
+    assert admitted(r, entered[:2], entered, known=2) is None, "no better than without what entered"
+
+
 TO_AND_FRO_DEG = np.concatenate([half := np.sort(RNG.uniform(-180.0, 180.0, 100)), half[::-1]])
 TO_AND_FRO = np.radians(TO_AND_FRO_DEG)
 LASTING_S = 5.0 * np.arange(len(TO_AND_FRO))
@@ -141,6 +150,12 @@ def test_no_effect_is_replaced_by_one_that_the_others_add_up_to() -> None:
     model = [*orders(r, 1, 2, 3, 4, 6, 8), short]
     assert is_admissible(r, model)
     assert is_admissible(r, compared(r, *model))
+
+
+def test_a_curve_of_many_knots_can_be_true_beside_a_wave() -> None:
+    """Its own columns are nearly one another's sum: that says nothing of the two effects."""
+    r = turn_of(0.3 * np.exp(-(((TO_AND_FRO_DEG - 100.0) / 25.0) ** 2)) + 0.05 * np.sin(16.0 * TO_AND_FRO))
+    assert is_admissible(r, [one(r, "unnamed", "smooth 9"), *orders(r, 16)])
 
 
 @pytest.mark.parametrize(

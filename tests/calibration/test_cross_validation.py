@@ -62,3 +62,15 @@ def test_errors_of_held_out_poses_are_of_elevation_not_of_reading() -> None:
     values[5, 0] += 0.1
     errors = errors_deg(replace(r, values=values), (), beta, np.array([4, 5]))
     assert errors == pytest.approx([0.0, 0.125], abs=1e-6)
+
+
+def test_a_curve_of_a_fold_keeps_its_knots_where_an_outlier_has_left():
+    """The outlier lay beyond all others: a curve that is built anew without it has knots elsewhere."""
+    rng = np.random.default_rng(5)
+    theta_deg = np.append(rng.uniform(-60.0, 60.0, 119), 75.0)
+    errors_deg = 0.3 * np.exp(-(((theta_deg - 10.0) / 15.0) ** 2)) + rng.normal(0.0, 0.01, 120)
+    r = responses_of([posed(target_deg=theta_deg, reading_deg=theta_deg + errors_deg)])
+    kept = np.arange(119)
+    curves = [c for c in candidates_of(r) if c.shape.form == "smooth 9" and c.beside is None]
+    found = cross_validate(r.rows(kept), [c.rows(kept) for c in curves], np.random.default_rng(1))
+    assert rms(found.final_deg) < 0.02

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from posed import posed
 
+from calrig.calibration.diagnosis.candidate_fits import refined
 from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of
 from calrig.calibration.diagnosis.established import established
 from calrig.calibration.diagnosis.held_out import CrossValidation, without_harm
@@ -67,6 +69,23 @@ def test_of_two_effects_that_make_each_other_uncertain_one_stays_and_is_ambiguou
     (left,) = established(findings_of(r, found), draws=True).found
     assert left.verdict == "ambiguous"
     assert {left.candidate, *left.rivals} == {f.candidate for f in found}
+
+
+def test_an_effect_that_is_certain_only_without_another_stays_where_the_model_needs_both() -> None:
+    """A period beside an eccentricity: uncertain, yet without either the rest is far from the noise."""
+    theta_deg = np.random.default_rng(1).uniform(-180.0, 180.0, 200)
+    error_deg = 0.6 * np.sin(np.radians(theta_deg)) + 0.3 * np.exp(-(((theta_deg - 100.0) / 60.0) ** 2))
+    noise_deg = np.random.default_rng(3).normal(0.0, 0.01, 200)
+    r = responses_of([posed(target_deg=theta_deg, reading_deg=theta_deg + error_deg + noise_deg)])
+    eccentricity, long, short = (
+        selected(r, "stage_eccentricity"),
+        *(selected(r, "stage_periodic", period_deg=period) for period in (340.0, 195.0)),
+    )
+    (best,) = refined(r, [eccentricity.candidate, long.candidate], [short.candidate])
+    found = [eccentricity, long, replace(short, candidate=best.candidate)]
+    kept = established(findings_of(r, found), draws=True).found
+    assert [f.candidate for f in kept] == [f.candidate for f in found]
+    assert "ambiguous" in {f.verdict for f in kept}
 
 
 def test_effects_that_predict_held_out_poses_worse_are_not_listed() -> None:

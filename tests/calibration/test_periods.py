@@ -132,6 +132,18 @@ def test_even_poses_carry_no_period_near_twice_their_spacing_and_none_beyond_the
     assert not carried(even + jitter, 210.0)
 
 
+def test_a_table_of_even_readings_carries_no_period_near_their_step():
+    """Its elevations are uneven by the error itself, which any wave near the step then follows."""
+    rng = np.random.default_rng(14)
+    readings = 1.8 * np.arange(200)
+    targets = readings.copy()
+    for _ in range(20):  # the elevations that are read so
+        bump = 0.3 * np.exp(-(((targets - 130.0) / 30.0) ** 2))
+        targets = readings - 0.6 * np.sin(np.radians(targets)) - bump
+    poses = posed(target_deg=targets + rng.normal(0.0, 0.002, 200), reading_deg=readings)
+    assert min(periods_in(effects_in(poses))) > 2.0 * 1.8
+
+
 @pytest.mark.parametrize(("arc_deg", "verdict"), [(140.0, "ambiguous"), (356.0, "named")])
 def test_a_period_of_the_turn_is_preferred_to_its_alias_at_even_steps(arc_deg, verdict):
     rng = np.random.default_rng(13)

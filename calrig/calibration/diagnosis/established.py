@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.diagnosis.candidates import Candidate, own_columns
-from calrig.calibration.diagnosis.ranking import SelectedEffect
+from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.report import covariance_with_places, has_size
 from calrig.calibration.diagnosis.reselection import penalised_criterion
 from calrig.calibration.diagnosis.selection import Findings
@@ -32,22 +32,27 @@ CLEAR = 4.0
 def established(findings: Findings, *, draws: bool) -> Findings:
     """Return the findings less the effects whose size is below two of its standard errors.
 
-    Of two effects that are uncertain only beside each other one stays, and is ambiguous with the other.
+    Of two effects that are uncertain only beside each other one stays, and is ambiguous with the other. Where
+    neither explains what both explain together, both stay.
 
     Args:
         findings: of a search.
         draws: whether standard errors are widened by refits of noise, as in a document.
     """
     r, found = findings.responses, list(findings.found)
+    staying: set[Candidate] = set()
     while found:
         chances = _chances(r, found, draws=draws)
         followed = {f.candidate.follows for f in found}
-        may_leave = [k for k, f in enumerate(found) if f.candidate.name not in followed]
+        may_leave = [
+            k for k, f in enumerate(found) if f.candidate.name not in followed and f.candidate not in staying
+        ]
         least = max(may_leave, key=chances.__getitem__, default=None)
         if least is None or chances[least] <= TWO_STANDARD_ERRORS:
             break
+        staying.add(found[least].candidate)
         found = _without(r, found, least, draws=draws)
-    return findings if len(found) == len(findings.found) else with_effects(findings, found)
+    return findings if found == list(findings.found) else with_effects(findings, found)
 
 
 def with_effects(findings: Findings, found: Sequence[SelectedEffect]) -> Findings:
@@ -59,7 +64,7 @@ def with_effects(findings: Findings, found: Sequence[SelectedEffect]) -> Finding
 def _without(
     r: Responses, found: Sequence[SelectedEffect], weak: int, *, draws: bool
 ) -> list[SelectedEffect]:
-    """Return the effects without a weak one, or without the one that makes it weak."""
+    """Return the effects without a weak one or what makes it weak; all of them if both are needed."""
     one = found[weak]
     rest = [f for f in found if f is not one]
     for other in rest:
@@ -72,6 +77,9 @@ def _without(
         kept, left = min(
             ((rest, other), (fewer, one)), key=lambda pair: penalised_criterion(r, _candidates(pair[0]))
         )
+        if penalised_criterion(r, _candidates(kept)) > penalised_criterion(r, _candidates(found)) + MARGIN:
+            told = f"these poses determine its size only without {other.candidate.label}, and need both"
+            return [one.against(other.candidate, told) if f is one else f for f in found]
         dropped = one if kept is rest else other
         return [_ambiguous_with(f, dropped) if f is left else f for f in kept]
     return rest

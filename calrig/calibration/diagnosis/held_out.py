@@ -25,7 +25,7 @@ from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
-from calrig.calibration.effects.stage_periodic import spacing_deg
+from calrig.calibration.effects.stage_periodic import step_deg
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
@@ -169,7 +169,7 @@ def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
     fold = np.empty(len(r), dtype=np.intp)
     rounds = np.tile(np.arange(FOLDS), (-(-len(r) // FOLDS), 1))
-    if deal is not None or spacing_deg(r.theta_deg) is not None:
+    if deal is not None or step_deg(r) is not None:
         rng = np.random.default_rng(len(r) if deal is None else [len(r), deal])
         rounds = rng.permuted(rounds, axis=1)
     fold[order] = rounds.ravel()[: len(r)]

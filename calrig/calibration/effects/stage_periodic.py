@@ -2,7 +2,8 @@
 
 Poses at angles θ show a wave of frequency f as one of f ± p wherever |Σ exp(2πi·p·θ)|/n is near 1 (spectral
 window: Deeming, Astrophysics and Space Science 36, 1975). An exact grid has such p at every multiple of
-1/step; jitter removes them.
+1/step; jitter removes them. Where the readings are the grid, as in a table by a sensor's counts, the
+elevations are uneven by the error itself: a wave near the step follows any error, and says nothing.
 """
 
 from __future__ import annotations
@@ -85,12 +86,17 @@ def _spacing_deg(angles: bytes) -> float | None:
     return float(np.polyfit(step, theta_deg, 1)[0])
 
 
+def step_deg(r: Responses) -> float | None:
+    """Return the step of evenly spaced elevations, else that of evenly spaced readings; None without one."""
+    return spacing_deg(r.theta_deg) or spacing_deg(r.theta_deg + r.values[:, 0])
+
+
 def steps_of(theta_deg: FloatArray, spacing_deg: float) -> FloatArray:
     """Return (n,) the whole number of steps from the lowest elevation to each."""
     return np.asarray(np.rint((theta_deg - theta_deg.min()) / spacing_deg), dtype=np.float64)
 
 
-USUAL_ORDERS = (2, 3, 4, 6, 8, 12, 16)
+USUAL_ORDERS = (2, 3, 4, 5, 6, 7, 8, 12, 16)
 """Of the turn: what unequal channels, poles and phases make of an axis. Order 1 is an eccentricity."""
 SHORTEST_PERIOD_DEG = 1.75
 """Unless the poses lie closer: the full step of a common motor on the axis itself is 1.8°."""
@@ -116,7 +122,7 @@ def _scan(r: Responses) -> Iterator[Parameters]:
         yield from _family(r, known_deg, 1)
     if arc < 3.0 * SHORTEST_PERIOD_DEG:
         return
-    frequencies = _scanned(r.theta_deg, arc)
+    frequencies = _scanned(r.theta_deg, arc, step_deg(r))
     orders = np.array(USUAL_ORDERS) / TURN_DEG
     if len(frequencies):
         orders = orders[orders <= frequencies[-1]]
@@ -144,12 +150,12 @@ def _harmonics(r: Responses, shape: Shape) -> Iterator[Parameters]:
         yield from _family(r, shape.at["period_deg"], 2)
 
 
-def _scanned(theta_deg: FloatArray, arc: float) -> FloatArray:
+def _scanned(theta_deg: FloatArray, arc: float, step: float | None) -> FloatArray:
     """Frequencies in cycles per degree, from the turn's second order or so to what the spacing resolves."""
     shortest = min(SHORTEST_PERIOD_DEG, 2.0 * arc / len(np.unique(theta_deg)))
     lowest, highest = 1.0 / TURN_DEG + APART / arc, 1.0 / shortest
-    if (spacing := spacing_deg(theta_deg)) is not None:
-        highest = min(highest, 1.0 / (2.0 * spacing) - 1.0 / arc)
+    if step is not None:
+        highest = min(highest, 1.0 / (2.0 * step) - 1.0 / arc)
     finer = next((f for f in PLACES if (highest - lowest) * f * arc <= MOST_PLACES), PLACES[-1])
     most = min(1.5 * MOST_PLACES, PLACES_A_POSE * len(theta_deg))
     return np.arange(lowest, min(highest, lowest + most / (finer * arc)) + 1e-9, 1.0 / (finer * arc))
@@ -159,15 +165,18 @@ def _carried(r: Responses, shape: Shape) -> bool:
     """Return whether the poses determine period, amplitude and phase of a wave together.
 
     A period beyond the arc is a curve. Evenly spaced poses show waves near twice the spacing, or near a part
-    of it, as one that alternates or drifts: amplitude and phase are one number there.
+    of it, as one that alternates or drifts: amplitude and phase are one number there. Evenly spaced readings
+    show none of less than twice the spacing.
     """
     frequency, arc = 1.0 / shape.at.get("period_deg", TURN_DEG), r.arc_deg
     if frequency * (1.0 + ROUNDING) < max(1.0 / TURN_DEG, 1.0 / arc):
         return False
-    spacing = spacing_deg(r.theta_deg)
-    if spacing is None:
+    step = step_deg(r)
+    if step is None:
         return True
-    halves = max(1.0, round(2.0 * spacing * frequency)) / (2.0 * spacing)
+    if 2.0 * step * frequency > 1.0 and spacing_deg(r.theta_deg) is None:
+        return False
+    halves = max(1.0, round(2.0 * step * frequency)) / (2.0 * step)
     return abs(frequency - halves) * (1.0 + ROUNDING) >= 1.0 / arc
 
 
