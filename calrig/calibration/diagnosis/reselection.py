@@ -332,9 +332,8 @@ def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> C
 SAME_THING = 1e3
 """Condition index beyond which two effects are one under two names (Belsley, Kuh & Welsch, Regression
 Diagnostics, 1980, section 3.2)."""
-CANCELS = 2.0
-"""Largest part of an effect in the responses, as a multiple of what several add together: beyond it, each of
-two takes back more than half of the other."""
+CANCELS = 3.0
+"""Largest part of an effect in the responses, as a multiple of what several add together."""
 
 
 def is_admissible(r: Responses, accepted: Sequence[Candidate]) -> bool:
