@@ -12,7 +12,7 @@ from pydantic_core import to_json
 from starlette.exceptions import HTTPException
 
 from calrig.api.context import ApiContext, Context, KnownRun
-from calrig.api.errors import problems_in_json
+from calrig.api.routes import problems_in_json
 from calrig.model.run import AT_REST
 from calrig.store import Event
 

@@ -12,8 +12,8 @@ from pydantic_core import to_json
 from calrig.analysis.calibration_in_force import Fit, left_of_poses_deg, residuals_of
 from calrig.analysis.stored_runs import axis_of, labels_of, mount_columns
 from calrig.api.context import ApiContext, Context, KnownRun
-from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
+from calrig.api.routes import problems, problems_in_json
 from calrig.calibration.poses import GYRO_MEANS, Pose
 from calrig.calibration.results import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
