@@ -112,15 +112,7 @@ def start_run(body: StartRun, context: Context, who: Who) -> Run:
 
     `operator` is who asks, where that is known by name.
     """
-    return context.service.start(
-        unit=body.unit,
-        rig=body.rig,
-        plan=body.plan,
-        operator=who or body.operator,
-        note=body.note,
-        stage_at_deg=body.stage_at_deg,
-        queue=body.queue,
-    )
+    return context.service.start(**dict(body) | {"operator": who or body.operator})
 
 
 @router.get("/api/runs", **answers(RunList, "Runs, newest first", 422))
