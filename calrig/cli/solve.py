@@ -15,7 +15,7 @@ from calrig.cli.input_files import names_a_file, read_bytes
 from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server, whole_id
 from calrig.cli.output import number, print_line, print_parameter, print_table, print_warnings
 from calrig.cli.progress import late_bar
-from calrig.cli.running_service import running_service, whole_id_there
+from calrig.cli.running_service import open_store, running_service, whole_id_there
 from calrig.errors import InputError, WorkError
 from calrig.estimation.angle_text import angle_text
 
@@ -172,10 +172,8 @@ def _of_runs(wanted: SolutionRequest, db: str | None) -> SolutionInputs:
     from dataclasses import replace
 
     from calrig.analysis.solutions import question
-    from calrig.settings import store_url
-    from calrig.store import Store
 
-    with Store.open(store_url(db), writer=None) as store:
+    with open_store(db) as store:
         return question(store, replace(wanted, runs=[whole_id(store, typed) for typed in wanted.runs]))
 
 
