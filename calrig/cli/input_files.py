@@ -48,7 +48,8 @@ def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
 
 def read_poses_file(file: Path) -> tuple[list[Pose], list[str]]:
     """Poses of one unit about its x, to be diagnosed, and what is to be said of them."""
-    from calrig.export.poses_csv import CsvError, read_about_x
+    from calrig.export.csv_errors import CsvError
+    from calrig.export.poses_csv import read_about_x
 
     try:
         return read_about_x(read_bytes(file))

@@ -190,7 +190,8 @@ def _of_files(files: Sequence[str], units: Sequence[str]) -> tuple[list[MountedP
 
 
 def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[str]]:
-    from calrig.export.poses_csv import CsvError, read_mounted
+    from calrig.export.csv_errors import CsvError
+    from calrig.export.poses_csv import read_mounted
 
     try:
         lots, said = read_mounted(read_bytes(file), str(file), serial)
