@@ -339,7 +339,8 @@ def _seen(standing: Standing, seen: BoardCheck | None, on: Turn | None) -> SeenA
 def _last(standing: Standing, rig: str) -> Turn | None:
     """What ended last on a rig, among what was measured."""
     mine = [turn for turn in standing.now.turns if turn.rig == rig and turn.state in ("done", "failed")]
-    return max((t for t in mine if t.run_id), key=lambda t: str(_finished(standing, t)), default=None)
+    ran = (turn for turn in mine if turn.run_id)
+    return max(ran, key=lambda turn: str(standing.runs[turn.run_id or ""].finished_at), default=None)
 
 
 def _came_to_nothing(standing: Standing, rig: str, on: Turn | None, last: Run | None) -> bool:
@@ -348,10 +349,6 @@ def _came_to_nothing(standing: Standing, rig: str, on: Turn | None, last: Run | 
         return False
     run = standing.runs[on.run_id]
     return run.rig == rig and (last is None or run.created_at > last.created_at)
-
-
-def _finished(standing: Standing, turn: Turn) -> datetime | None:
-    return standing.runs[turn.run_id or ""].finished_at
 
 
 def _turn(standing: Standing, turn: Turn) -> TurnAnswer:

@@ -16,7 +16,7 @@ from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.models import Body, Reason, ReasonIfAny
-from calrig.api.routes import answers, problems
+from calrig.api.routes import BYTES, TEXT, answers
 from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
 from calrig.model.base import Model
 from calrig.model.calibration import Calibration, IssuedAct, Revision
@@ -80,18 +80,15 @@ def list_formats() -> object:
 # The longer paths come first: `{serial:path}` would take their ends for parts of the serial number.
 @router.get(
     "/api/units/{serial:path}/calibration",
-    response_model=Calibration,
-    responses={
-        200: {
-            "content": {
-                "text/plain": {"schema": {"type": "string"}},
-                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
-                "application/xml": {"schema": {"type": "string"}},
-            }
-        },
-        **problems(404, 409, 422, 501),
-    },
-    summary="The calibration in force",
+    **answers(
+        Calibration,
+        "The calibration in force",
+        404,
+        409,
+        422,
+        501,
+        sends={"text/plain": TEXT, "application/pdf": BYTES, "application/xml": TEXT},
+    ),
 )
 def show_calibration(
     serial: str,

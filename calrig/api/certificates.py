@@ -12,7 +12,7 @@ from calrig.api.access import Who
 from calrig.api.context import Context, KnownUnit
 from calrig.api.jobs import Heavy
 from calrig.api.models import Body
-from calrig.api.routes import answers, problems
+from calrig.api.routes import BYTES, TEXT, answers
 from calrig.model.base import Model
 from calrig.store.certificates import IssuedCertificate
 
@@ -96,18 +96,13 @@ def list_certificates(
 
 @router.get(
     "/api/certificates/{number}",
-    response_class=Response,
-    responses={
-        200: {
-            "content": {
-                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
-                "application/xml": {"schema": {"type": "string"}},
-                "application/json": {},
-            }
-        },
-        **problems(404, 422),
-    },
-    summary="A certificate as issued",
+    **answers(
+        None,
+        "A certificate as issued",
+        404,
+        422,
+        sends={"application/pdf": BYTES, "application/xml": TEXT, "application/json": {}},
+    ),
 )
 def show_certificate(
     number: str,

@@ -20,7 +20,7 @@ from calrig.api.access import share_of
 from calrig.api.context import Context, context_of
 from calrig.api.errors import CLIENT_LEFT
 from calrig.api.job import Job
-from calrig.api.routes import answers, problems
+from calrig.api.routes import answers
 from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
 from calrig.store import Store
@@ -59,9 +59,9 @@ async def cancel_job(job: KnownJob) -> Job:
 
 @router.get(
     "/api/jobs/{job_id}/result",
-    response_class=Response,
-    responses={200: {"content": {"application/json": {}}}, **problems(404, 409)},
-    summary="What came of long work that is kept nowhere else",
+    **answers(
+        None, "What came of long work that is kept nowhere else", 404, 409, sends={"application/json": {}}
+    ),
 )
 async def show_result(job: KnownJob) -> Response:
     """As the call that began it would have answered."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
+
+from fastapi.responses import Response
 
 from calrig.api.access import requires
 from calrig.api.models import Problem
@@ -22,8 +25,8 @@ WORDS = {
     503: "The store or the disk is full, the store locked or read-only, too many uploads or event streams "
     "are in hand, or a process was killed",
 }
-
-
+TEXT = {"schema": {"type": "string"}}
+BYTES = {"schema": {"type": "string", "format": "binary"}}
 Responses = dict[int | str, dict[str, Any]]
 """Of a path, by status, as FastAPI takes them."""
 ACCEPTED: Responses = {
@@ -38,21 +41,28 @@ def answers(
     role: Role | None = None,
     status: int | None = None,
     as_job: bool = False,
+    sends: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the keyword arguments of a path's decorator.
 
     Args:
-        model: of the answer; None for one without a body.
+        model: of the answer; None for one without a body, or whose types are all in `sends`.
         summary: the path's title in the OpenAPI document.
         codes: the errors that it answers, beside those of any path.
         role: the least that its caller must have; None for every caller.
         status: of the answer; None for 200.
         as_job: whether a client need not wait for the answer.
+        sends: what the answer may be beside the model, by media type.
     """
+    responses = dict(ACCEPTED) if as_job else {}
+    if sends is not None:
+        responses[200] = {"content": dict(sends)}
+    is_json = sends is None or model is not None or "application/json" in sends
     return {
         "response_model": model,
+        **({"response_class": Response} if sends is not None and model is None else {}),
         "summary": summary,
-        "responses": (ACCEPTED if as_job else {}) | problems(*codes),
+        "responses": responses | (problems if is_json else problems_in_json)(*codes),
         "dependencies": [] if role is None else [requires(role)],
         "status_code": status,
     }

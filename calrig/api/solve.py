@@ -17,7 +17,7 @@ from calrig.api.context import ApiContext, Context
 from calrig.api.job import Job
 from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import Body
-from calrig.api.routes import answers, problems
+from calrig.api.routes import answers
 from calrig.calibration.poses import DiagnosisError
 from calrig.export.solution_documents import in_file
 from calrig.figures.joint import joint_figure
@@ -128,9 +128,7 @@ def show_solution(solution: KnownSolution) -> Solution:
 
 @router.get(
     "/api/solve/{solution_id}/map",
-    response_class=Response,
-    responses={200: {"content": {"application/json": {}}}, **problems(404)},
-    summary="The stage's map of a solution",
+    **answers(None, "The stage's map of a solution", 404, sends={"application/json": {}}),
 )
 def solution_map(solution: KnownSolution) -> Response:
     """The file `stage-map.json`, which a rig takes as its reference."""
@@ -139,9 +137,7 @@ def solution_map(solution: KnownSolution) -> Response:
 
 @router.get(
     "/api/solve/{solution_id}/units/{serial:path}",
-    response_class=Response,
-    responses={200: {"content": {"application/json": {}}}, **problems(404)},
-    summary="A unit's calibration by a solution",
+    **answers(None, "A unit's calibration by a solution", 404, sends={"application/json": {}}),
 )
 def solution_calibration(solution: KnownSolution, serial: str) -> Response:
     """CONTRACT section 6, with the uncertainty of this solution; it is no revision and never in force."""

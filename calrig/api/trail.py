@@ -1,6 +1,5 @@
 """The trail: who did what, when and why."""
 
-from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any
 
@@ -12,7 +11,7 @@ from calrig.api.context import Context
 from calrig.api.models import Body
 from calrig.api.routes import answers
 from calrig.model.base import Model
-from calrig.store.trail import Entry, What
+from calrig.store.trail import What
 
 router = APIRouter(tags=["access"])
 
@@ -54,7 +53,7 @@ class Backup(Body):
 )
 def enter_backup(body: Backup, context: Context, who: Who) -> object:
     """`calrig backup` does so for the copy that it has made: the trail then has the heads of its backups."""
-    return _shown(context.store.trail.add_backup(body.seq, body.sha256, who))
+    return context.store.trail.add_backup(body.seq, body.sha256, who)
 
 
 @router.get("/api/trail", **answers(TrailAnswer, "Who did what", 422))
@@ -76,8 +75,4 @@ def show_trail(
         unit=unit, what=what or (), since=since, after=after, newest_first=newest_first, limit=limit
     )
     broken_at = context.store.trail.broken_link()
-    return {"entries": [_shown(one) for one in entries], "intact": broken_at is None, "broken_at": broken_at}
-
-
-def _shown(entry: Entry) -> dict[str, Any]:
-    return {**asdict(entry.act), "seq": entry.seq, "at": entry.at, "sha256": entry.sha256}
+    return {"entries": entries, "intact": broken_at is None, "broken_at": broken_at}

@@ -36,7 +36,7 @@ from calrig.api.errors import no_room
 from calrig.api.jobs import Heavy
 from calrig.api.measurements import prefers_csv
 from calrig.api.models import Body, RunAnswer
-from calrig.api.routes import answers, problems, problems_in_json
+from calrig.api.routes import BYTES, TEXT, answers
 from calrig.store.units import CalibrationItem, ItemField
 
 EVERY_RUN = 2**31
@@ -115,12 +115,7 @@ LOOK_S = 0.1
 
 @router.get(
     "/api/units/{serial:path}/archive",
-    response_class=Response,
-    responses={
-        200: {"content": {ZIP: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems_in_json(404, 429, 503),
-    },
-    summary="All that stands behind a unit's calibrations",
+    **answers(None, "All that stands behind a unit's calibrations", 404, 429, 503, sends={ZIP: BYTES}),
 )
 async def show_archive(unit: KnownUnit, heavy: Heavy) -> Response:
     """One zip with every revision, run, pose and sample, and the trail; `calrig verify` checks it.
@@ -172,9 +167,7 @@ CSV = "text/csv; charset=utf-8"
 
 @router.get(
     "/api/units",
-    response_model=list[ListedUnit],
-    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}, **problems(422)},
-    summary="Every unit, by serial number",
+    **answers(list[ListedUnit], "Every unit, by serial number", 422, sends={"text/csv": TEXT}),
 )
 def list_units(
     context: Context,

@@ -295,10 +295,11 @@ class CentreService(Service):
 
     def begin_abort(self, run_id: str, who: str | None = None) -> SharedTask[Run]:
         """As `abort`, in a thread of its own, which all share who ask for it meanwhile."""
-        return self._errands.share(("abort", run_id), self._clock, partial(self._abort, run_id, who))
-
-    def _abort(self, run_id: str, who: str | None) -> Run:
-        return self._entered("aborted", self._abort_by_bench(run_id), who)
+        return self._errands.share(
+            ("abort", run_id),
+            self._clock,
+            lambda: self._entered("aborted", self._abort_by_bench(run_id), who),
+        )
 
     def _entered(self, what: What, run: Run, who: str | None) -> Run:
         """Enter in the trail what a bench was asked for and did; a store in trouble undoes nothing of it."""
@@ -315,7 +316,8 @@ class CentreService(Service):
         self.store.orders.withdraw(run_id)
         order = self.store.orders.of(run_id)
         if order is None:
-            return self._abort_of_nobody(run)
+            # no bench of this centre has it: it was moved here from another store
+            return self.store.runs.update(run.id, status="aborted")
         if order.taken_epoch == 0:  # no bench had begun it
             self.store.orders.settle_withdrawn(None)
             return self.run(run_id)
@@ -326,10 +328,6 @@ class CentreService(Service):
         finally:
             self._settle_withdrawn(None)
         return self.wait(run_id, ENDS_S)
-
-    def _abort_of_nobody(self, run: Run) -> Run:
-        """Ends a run that no bench of this centre has: it was moved here from another store."""
-        return self.store.runs.update(run.id, status="aborted")
 
     def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
         """Has every bench with such a rig stop its stage now, whatever runs; what waits there is aborted.

@@ -22,7 +22,7 @@ from calrig.estimation.angle_text import angle_text
 if TYPE_CHECKING:
     from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.calibration.separation import MountedPoses
-    from calrig.client import Client, RunRecord
+    from calrig.client import Client
     from calrig.model.solution import Frame, SolutionDocument, SolvedUnit, SolvedValue
     from calrig.store.solved import Solved
 
@@ -349,10 +349,12 @@ def _solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, 
 
     `with_files` adds calibrations and stage map, `with_poses` the pose residuals.
     """
+    from calrig.model.run import mount_axis
     from calrig.store.solved import Solved
 
     runs = [whole_id_there(client, typed) for typed in wanted.runs]
-    if with_poses and any(_axis(client.run(run_id).record)[-1] != "x" for run_id in runs):
+    records = (client.run(run_id).record for run_id in runs)
+    if with_poses and any(mount_axis(one.plan, one.provenance)[-1] != "x" for one in records):
         raise InputError(NOT_DRAWN)
     with late_bar("solving") as show:
         found = client.solve(
@@ -379,8 +381,3 @@ def _solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, 
         stage_map=client.get(f"{path}/map") if with_files else {},
         poses=client.get(f"{path}/poses") if with_poses else {},
     )
-
-
-def _axis(run: RunRecord) -> str:
-    """Which of the unit's axes lay along the stage's."""
-    return str((run.plan or run.provenance).get("mount_axis", "x"))

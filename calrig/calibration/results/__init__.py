@@ -38,7 +38,6 @@ from calrig.calibration.results.result import (
     build_result,
 )
 from calrig.calibration.results.verification import (
-    CalibrationBasis,
     Promise,
     basis_of_poses,
     of_line_alone,

@@ -10,7 +10,6 @@ from calrig.calibration.separation.map_validity import MapCheck, checked
 from calrig.calibration.separation.messages import advised
 from calrig.calibration.separation.pose_table import MountedPoses, Table, are_whole
 from calrig.calibration.separation.report import (
-    Value,
     WholeUnit,
     accelerometer_document,
     gyro_document,

@@ -33,7 +33,6 @@ from calrig.calibration.uncertainty.sequential_stopping import (
 from calrig.calibration.uncertainty.verdict import (
     IN_WORDS,
     SAME_EFFECT,
-    between_runs,
     make_verdict,
     verdict_figures,
 )
