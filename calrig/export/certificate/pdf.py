@@ -72,7 +72,7 @@ def pdf_of(
         place = Path(folder)
         sheet["logo"] = _logo(laboratory.logo, place)
         sheet["attached"] = [
-            {key: said for key, said in asdict(one).items() if key != "content"} for one in attached
+            {key: value for key, value in asdict(one).items() if key != "content"} for one in attached
         ]
         (place / "sheet.json").write_text(json.dumps(sheet, ensure_ascii=False), encoding="utf-8")
         (place / "residuals.svg").write_text(residuals_svg, encoding="utf-8")
