@@ -103,14 +103,13 @@ class FollowedRun:
 
     def _listen(self) -> None:
         try:
-            for event in self._run.events(away=self._say_away):
+            for event in self._run.events(
+                away=lambda why: self._heard.put(Notice(f"{why}; it is waited for, two minutes at most"))
+            ):
                 self._heard.put(event)
             self._heard.put(None)
         except ServiceError as error:
             self._heard.put(error)
-
-    def _say_away(self, error: ServiceError) -> None:
-        self._heard.put(Notice(f"{error}; it is waited for, two minutes at most"))
 
     def _take(self, event: RunEvent | Notice) -> None:
         if event.type == "state":
