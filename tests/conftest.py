@@ -42,6 +42,7 @@ settings.register_profile("explore", deadline=None, suppress_health_check=[Healt
 settings.load_profile("calrig")
 
 LaunchRig = Callable[..., RigSettings]
+STUDIES = Path(__file__).parent / "studies"
 ENDS_S = 30.0
 """How long a process of tests may take to end."""
 MOST_SPEED = 10.0
@@ -60,8 +61,13 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.hookimpl(tryfirst=True)  # before the marks are chosen from
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks what needs a PostgreSQL server; the page's files, few and long, come first: no worker idles."""
+    """Marks what needs a PostgreSQL server, and all studies, which are a step of their own in `.ci/run`.
+
+    The page's files, few and long, come first: no worker idles.
+    """
     for item in items:
+        if STUDIES in item.path.parents:
+            item.add_marker("statistical")
         if on_a_server(item):
             item.add_marker("centre")
     items.sort(key=lambda item: item.get_closest_marker("browser") is None)

@@ -13,7 +13,7 @@ from calrig.analysis.results import refitted
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import checked_reason, counted_poses, ended_run, stored_run
 from calrig.analysis.unit_of_work import Fits, in_one_transaction
-from calrig.export.poses_csv import CsvError
+from calrig.export.csv_errors import CsvError
 from calrig.model.plan import CALIBRATING
 from calrig.run_ids import short_name
 from calrig.store import Run, Store

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.results import as_applied, pose_residuals_deg, rest_on_map
-from calrig.analysis.stored_runs import axis_of, stored_run
+from calrig.analysis.results import pose_residuals_deg, rest_on_map
+from calrig.analysis.stored_runs import known_unit, stored_run
 from calrig.calibration.effects import effect_of
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose
@@ -29,10 +29,11 @@ from calrig.estimation.angles import FloatArray
 from calrig.export.calibration_document import line_of
 from calrig.model.plan import CALIBRATING
 from calrig.model.result import Gyro, ReferenceFigures, Result
+from calrig.model.run import mount_axis
 from calrig.run_ids import short_name
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.issued import Revision
-from calrig.store.records import Document, reference_of
+from calrig.store.records import Document, as_applied, reference_of
 
 
 def why_none(run: Run) -> str | None:
@@ -43,7 +44,7 @@ def why_none(run: Run) -> str | None:
     """
     if run.kind not in CALIBRATING:
         return f"is a {'static log' if run.kind == 'static' else run.kind}"
-    if (axis := axis_of(run)) != "x":
+    if (axis := mount_axis(run.plan, run.provenance)) != "x":
         return f"had the unit's {axis} along the stage's axis: its poses are for the joint solution"
     return None if run.follows is None else f"is a follow-up of run {run.follows}"
 
@@ -133,8 +134,7 @@ def wanted_revision(store: Store, serial: str, wanted: Wanted = None) -> Revisio
     Raises:
         Unknown: the unit is not known, or has none such.
     """
-    if store.units.get(serial) is None:
-        raise Unknown(f"there is no unit {serial!r}")
+    known_unit(store, serial)
     if wanted == "latest":
         found = next((one for one in store.revisions.of(serial) if one.status != "withdrawn"), None)
         none = f"unit {serial!r} has no calibration: none was completed, or all were withdrawn"

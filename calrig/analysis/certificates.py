@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
 from calrig.analysis.certificate_forms import Forms, forms_of
-from calrig.analysis.errors import Conflict, Invalid, Unknown
+from calrig.analysis.errors import Conflict, Invalid
 from calrig.analysis.noise_studies import noise_of_unit
 from calrig.analysis.results import rest_on_map
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.solution_drafts import gone_since, solution_changes, solved_poses
-from calrig.analysis.stored_runs import stored_run
+from calrig.analysis.stored_runs import known_unit, stored_run
 from calrig.export.archive.contents import unit_archive
 from calrig.export.archive.layout import certificate_name
 from calrig.export.certificate.content import Certificate, Issue
@@ -78,16 +78,16 @@ def _entries(store: Store, revision: Revision) -> list[Entry]:
     """Of the trail, what was done with this revision; the oldest first."""
     what: tuple[What, ...] = ("drafted", "released", "withdrawn")
     of_unit = store.trail.entries(unit=revision.unit, what=what, limit=EVERY_ENTRY)
-    return [one for one in of_unit if (one.act.unit, one.act.revision) == (revision.unit, revision.revision)]
+    return [one for one in of_unit if (one.unit, one.revision) == (revision.unit, revision.revision)]
 
 
 def _before(store: Store, revision: Revision, entries: Sequence[Entry]) -> Revision | None:
     """The revision that was in force until this one first was; of a draft, the one that is in force now."""
-    first = next((one for one in entries if one.act.what == "released"), None)
+    first = next((one for one in entries if one.what == "released"), None)
     if first is None:
         in_force = store.revisions.in_force(revision.unit) if revision.status == "draft" else None
         return None if in_force is None or in_force.revision == revision.revision else in_force
-    number = first.act.detail.get("supersedes")
+    number = first.detail.get("supersedes")
     return None if number is None else store.revisions.get(revision.unit, number)
 
 
@@ -98,11 +98,11 @@ def _came_with(store: Store, revision: Revision, run: Run) -> Revision | None:
     for entry in store.trail.entries(unit=revision.unit, what=what, limit=EVERY_ENTRY):
         if entry.at > (run.started_at or run.created_at):
             break
-        if entry.act.unit != revision.unit:
+        if entry.unit != revision.unit:
             continue  # of a run that was moved away
-        if entry.act.what == "released":
-            in_force = entry.act.revision
-        elif in_force == entry.act.revision:
+        if entry.what == "released":
+            in_force = entry.revision
+        elif in_force == entry.revision:
             in_force = None
     return None if in_force is None else store.revisions.get(revision.unit, in_force)
 
@@ -127,11 +127,9 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     changes = store.trail.entries(what=["limits_changed"], limit=EVERY_ENTRY)
     before = [one for one in changes if one.at <= when]
     if before:
-        return [Limit.model_validate(one) for one in before[-1].act.detail["now"]]
+        return [Limit.model_validate(one) for one in before[-1].detail["now"]]
     return (
-        [Limit.model_validate(one) for one in changes[0].act.detail["before"]]
-        if changes
-        else store.limits.all()
+        [Limit.model_validate(one) for one in changes[0].detail["before"]] if changes else store.limits.all()
     )
 
 
@@ -236,8 +234,7 @@ def archive_of(store: Store, serial: str) -> Iterator[bytes]:
     Raises:
         Unknown: there is no such unit; at once.
     """
-    if store.units.get(serial) is None:
-        raise Unknown(f"there is no unit {serial!r}")
+    known_unit(store, serial)
 
     def certificates(numbers: Sequence[str]) -> Iterator[tuple[str, bytes]]:
         for number in numbers:

@@ -96,7 +96,9 @@ def comparison(
             "unit": serial,
             "runs": runs,
             "in_force": in_force.get(serial),
-            "drift_deg_per_day": _drift(runs),
+            "drift_deg_per_day": drift_deg_per_day(
+                [run["finished_at"] for run in runs], [run["bias_deg"] for run in runs]
+            ),
             "p_value": significance.get(serial),
             "changed": serial in most and bool(found.changes.changed[most[serial]]),
             "verdict": change_verdict(
@@ -158,10 +160,6 @@ def _row(row: ComparisonRow, effects: Mapping[str, list[str]]) -> Row:
         **row.result,
         "effects": effects.get(row.unit, []) if corrected else [],
     }
-
-
-def _drift(runs: Sequence[Row]) -> float | None:
-    return drift_deg_per_day([run["finished_at"] for run in runs], [run["bias_deg"] for run in runs])
 
 
 def _spread(

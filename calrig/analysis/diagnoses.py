@@ -9,7 +9,7 @@ from typing import Any
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.joint_model import joint_of_accepting, joint_of_rest, known_stds
-from calrig.analysis.results import as_applied, refitted
+from calrig.analysis.results import refitted
 from calrig.analysis.revisions import Issuer
 from calrig.analysis.stored_runs import (
     checked_reason,
@@ -28,7 +28,7 @@ from calrig.calibration.regression import ApplyError, DiagnosisRequest
 from calrig.calibration.results import own_effect, poses_without_effects
 from calrig.run_ids import short_name
 from calrig.store import AcceptedEffect, Store
-from calrig.store.records import Run
+from calrig.store.records import Run, as_applied
 
 
 class Diagnoses:

@@ -53,12 +53,6 @@ def _is_remounted(run: Run) -> bool:
     return any(angle != 0.0 for angle in mounts)
 
 
-def error_map(store: Store, rig: str) -> ErrorMap:
-    """The map of a rig as it is now."""
-    basis = basis_of(store, rig)
-    return solved_map(poses_by_mounting(store, basis), basis)
-
-
 def poses_by_mounting(store: Store, basis: Basis) -> list[MountedPoses]:
     """The poses that a map rests on."""
     return mounted(store, [ended_run(store, run_id) for run_id, _ in basis.runs])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.analysis.errors import Unknown
+from calrig.analysis.stored_runs import known_unit
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.histories import (
     FALSE_DISCOVERY_RATE,
@@ -299,8 +299,7 @@ def unit_changes(store: Store, serial: str) -> list[Document]:
     Raises:
         Unknown: there is no such unit.
     """
-    if store.units.get(serial) is None:
-        raise Unknown(f"there is no unit {serial!r}")
+    known_unit(store, serial)
     found = histories(store, [serial])
     places = found.of(serial)
     signals = [chart.signals for chart in charts(found, serial) if chart is not None]

@@ -10,14 +10,13 @@ from typing import Any
 
 import calrig
 from calrig.analysis.errors import Invalid
-from calrig.analysis.results import as_applied
 from calrig.calibration.regression import ASSUMED, AssumedReference
 from calrig.calibration.results import FittedResult, build_result
 from calrig.export.calibration_document import calibration_content
 from calrig.export.poses_csv import FileReference, PoseColumns, read_run
 from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
 from calrig.settings import ReferenceSettings, RigSettings
-from calrig.store.records import AcceptedEffect, Document, doubt_of, reference_of
+from calrig.store.records import AcceptedEffect, Document, as_applied, doubt_of, reference_of
 
 READING = 0.25
 """Share of an import that goes into reading its file."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from calrig.analysis.errors import Conflict
-from calrig.analysis.results import as_applied, rest_on_map
+from calrig.analysis.results import rest_on_map
 from calrig.analysis.stored_runs import MOST_POSES, counted_poses
 from calrig.analysis.unit_of_work import Fits
 from calrig.calibration.diagnosis import (
@@ -20,6 +20,7 @@ from calrig.calibration.diagnosis import (
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.results import AppliedEffect, own_effect
 from calrig.store import AcceptedEffect, Run, Store
+from calrig.store.records import as_applied
 
 REFERENCE = "reference_c"
 

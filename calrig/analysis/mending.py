@@ -47,7 +47,7 @@ def mend(store: Store, issuer: Issuer) -> list[str]:
 
     Each is entered in the audit log as `mended`, and so is that the store was checked.
     """
-    if any(one.act.unit is None for one in store.trail.entries(what=("mended",), limit=EVERY_ENTRY)):
+    if any(one.unit is None for one in store.trail.entries(what=("mended",), limit=EVERY_ENTRY)):
         return []
     entries = store.trail.entries(what=(*_IN_WORDS, *_FOLLOW), limit=EVERY_ENTRY)
     if not entries:
@@ -71,12 +71,12 @@ def _without_result(entries: Iterable[Entry]) -> list[Entry]:
     found: dict[str | None, Entry] = {}
     last: dict[str | None, Entry] = {}
     for entry in entries:
-        act, before = entry.act, last.get(entry.act.unit)
-        if act.what in ("accepted", "taken_back"):
-            found[act.run_id] = entry
-        elif act.what == "drafted" and before is not None and found.get(before.act.run_id) is before:
-            del found[before.act.run_id]
-        last[act.unit] = entry
+        before = last.get(entry.unit)
+        if entry.what in ("accepted", "taken_back"):
+            found[entry.run_id] = entry
+        elif entry.what == "drafted" and before is not None and found.get(before.run_id) is before:
+            del found[before.run_id]
+        last[entry.unit] = entry
     return list(found.values())
 
 
@@ -84,11 +84,10 @@ def _without_draft(entries: Iterable[Entry]) -> dict[str, Entry]:
     """Of each unit the last change, if no revision was drafted, released or withdrawn since."""
     found: dict[str, Entry] = {}
     for entry in entries:
-        act = entry.act
-        for unit in {act.unit, act.detail.get("from")}:
+        for unit in {entry.unit, entry.detail.get("from")}:
             if unit is None:
                 continue
-            if act.what in _IN_WORDS:
+            if entry.what in _IN_WORDS:
                 found[unit] = entry
             else:
                 found.pop(unit, None)
@@ -115,9 +114,9 @@ def _effects_before(
     store: Store, run: Run, entry: Entry, in_force: Sequence[AcceptedEffect]
 ) -> list[AcceptedEffect]:
     """Return the effects that were in force before an acceptance or a withdrawal."""
-    names = entry.act.detail.get("effects") or ()
+    names = entry.detail.get("effects") or ()
     others = [one for one in in_force if not (one.run_id == run.id and one.name in names)]
-    if entry.act.what == "accepted":
+    if entry.what == "accepted":
         return others
     withdrawn = {one.name: one for one in store.effects.ever_accepted(run.id) if one.name in names}
     return [*(one for one in others if one.name not in withdrawn), *withdrawn.values()]
@@ -127,22 +126,22 @@ def _mend_draft(store: Store, issuer: Issuer, unit: str, entry: Entry, fits: Fit
     run = _run_of(store, entry)
     if run is None:
         return []
-    if entry.act.what in ("voided", "unvoided"):
+    if entry.what in ("voided", "unvoided"):
         try:
             Records(store, issuer).refit_effects(run, fits)
         except Conflict as error:
-            return [_say(store, run, f"run {run.id}: {_IN_WORDS[entry.act.what]} was not completed: {error}")]
+            return [_say(store, run, f"run {run.id}: {_IN_WORDS[entry.what]} was not completed: {error}")]
     if not issuer.lacks_draft(run.model_copy(update={"unit": unit})):
         return []
-    why = f"completed at the start: {_IN_WORDS[entry.act.what]} (run {run.id}, audit log {entry.seq})"
-    made = issuer.redraft(run.model_copy(update={"unit": unit}), by=entry.act.who, reason=why)
+    why = f"completed at the start: {_IN_WORDS[entry.what]} (run {run.id}, audit log {entry.seq})"
+    made = issuer.redraft(run.model_copy(update={"unit": unit}), by=entry.who, reason=why)
     if made is None:
         return []
     return [_told(store, entry, run, f"revision {made.revision} of unit {unit}")]
 
 
 def _run_of(store: Store, entry: Entry) -> Run | None:
-    return None if entry.act.run_id is None else store.runs.get(entry.act.run_id)
+    return None if entry.run_id is None else store.runs.get(entry.run_id)
 
 
 def _is_same(stored: Result, computed: Result) -> bool:
@@ -158,7 +157,7 @@ def _is_same(stored: Result, computed: Result) -> bool:
 def _told(store: Store, entry: Entry, run: Run, what: str) -> str:
     """Enter in the audit log what was completed, and return it."""
     says = (
-        f"run {run.id}: {_IN_WORDS[entry.act.what]} on {entry.at:%Y-%m-%d %H:%M} UTC was interrupted before "
+        f"run {run.id}: {_IN_WORDS[entry.what]} on {entry.at:%Y-%m-%d %H:%M} UTC was interrupted before "
         f"{what} followed; it is completed now"
     )
     return _say(store, run, says)

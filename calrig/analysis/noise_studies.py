@@ -13,8 +13,8 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.stored_runs import stored_run
+from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.stored_runs import known_unit, stored_run
 from calrig.estimation.angles import FloatArray
 from calrig.export.samples_csv import COLUMNS, sample_columns
 from calrig.export.static_csv import read_static
@@ -180,8 +180,7 @@ def noise_of_unit(
         Conflict: it has no such log, or its samples are gone.
         Invalid: the log cannot be studied.
     """
-    if store.units.get(unit) is None:
-        raise Unknown(f"there is no unit {unit!r}")
+    known_unit(store, unit)
     run = _latest_static_run(store, unit)
     with NamedTemporaryFile() as file:
         lay_samples(store, run.id, file)

@@ -9,30 +9,17 @@ import numpy as np
 
 from calrig.calibration.poses import Pose, of_first_mount
 from calrig.calibration.results import (
-    AppliedEffect,
     FittedResult,
     build_result,
-    numbers_of,
-    own_effect,
     residuals,
 )
 from calrig.calibration.separation import beyond_in_words, dial_of, map_reference
 from calrig.calibration.uncertainty import AS_PLANNED, Ending
 from calrig.model.result import Gyro, Reference, Result
-from calrig.store.records import AcceptedEffect, Document, Run, doubt_of, map_of, reference_of
+from calrig.store.records import AcceptedEffect, Document, Run, as_applied, doubt_of, map_of, reference_of
 
 if TYPE_CHECKING:
     from calrig.store import Store
-
-
-def as_applied(accepted: Sequence[AcceptedEffect]) -> list[AppliedEffect]:
-    """Accepted effects as arithmetic takes them."""
-    return [
-        own_effect(effect.name, effect.parameters)
-        if effect.unit is not None
-        else (effect.name, numbers_of(effect.parameters))
-        for effect in accepted
-    ]
 
 
 def fitted(

@@ -379,10 +379,9 @@ def _acts(store: Store, unit: str) -> dict[int | None, list[Document]]:
     """Return the releases and withdrawals of each revision of a unit, oldest first."""
     acts: dict[int | None, list[Document]] = {}
     for entry in store.trail.entries(unit=unit, what=("released", "withdrawn"), limit=EVERY_ENTRY):
-        act = entry.act
-        said = {"at": entry.at, "what": act.what, "by": act.who, "reason": act.reason}
-        said["supersedes"] = act.detail.get("supersedes")
-        acts.setdefault(act.revision, []).append(said)
+        said = {"at": entry.at, "what": entry.what, "by": entry.who, "reason": entry.reason}
+        said["supersedes"] = entry.detail.get("supersedes")
+        acts.setdefault(entry.revision, []).append(said)
     return acts
 
 
@@ -393,15 +392,15 @@ def issued_since(store: Store, since: datetime | None) -> list[Document]:
     return [
         {
             "at": entry.at,
-            "what": entry.act.what,
-            "unit": entry.act.unit,
-            "revision": entry.act.revision,
-            "run_id": entry.act.run_id,
-            "sha256": entry.act.detail["sha256"],
-            "by": entry.act.who,
-            "reason": entry.act.reason,
-            "warnings": entry.act.detail.get("warnings", []),
-            "supersedes": entry.act.detail.get("supersedes"),
+            "what": entry.what,
+            "unit": entry.unit,
+            "revision": entry.revision,
+            "run_id": entry.run_id,
+            "sha256": entry.detail["sha256"],
+            "by": entry.who,
+            "reason": entry.reason,
+            "warnings": entry.detail.get("warnings", []),
+            "supersedes": entry.detail.get("supersedes"),
         }
         for entry in store.trail.entries(
             what=("drafted", "released", "withdrawn"), since=since, limit=EVERY_ENTRY

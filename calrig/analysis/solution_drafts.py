@@ -61,7 +61,7 @@ def solution_changes(store: Store, solution: StoredSolution) -> list[str]:
         (("moved",), "was moved to another unit"),
         (("excluded", "included"), "had poses excluded or included"),
     ):
-        changed = {str(one.act.run_id) for one in entries if one.act.what in done} & set(basis.runs)
+        changed = {str(one.run_id) for one in entries if one.what in done} & set(basis.runs)
         said += [f"Run {run_id} {words} since it was solved." for run_id in sorted(changed)]
     return said
 

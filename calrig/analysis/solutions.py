@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.analysis.stored_runs import axis_of, counted_poses, ended_run, limits_of
+from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.stored_runs import counted_poses, ended_run, known_unit, limits_of
 from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, Pose
 from calrig.calibration.separation import MapError, MountedPoses, StageMap
 from calrig.estimation.angles import FloatArray
 from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
+from calrig.model.run import mount_axis
 from calrig.model.solution import Frame
 from calrig.run_ids import short_name
 from calrig.store.records import Run
@@ -194,8 +195,7 @@ def _runs(store: Store, wanted: SolutionRequest) -> list[Run]:
     """Those named, in this order, then those that count of the units or the rig."""
     runs = [ended_run(store, run_id) for run_id in dict.fromkeys(wanted.runs)]
     for serial in wanted.units:
-        if store.units.get(serial) is None:
-            raise Unknown(f"there is no unit {serial!r}")
+        known_unit(store, serial)
     if wanted.units or not wanted.runs:
         named = {run.id for run in runs}
         counting = store.runs.valid_ids(wanted.rig, wanted.units or None)
@@ -223,7 +223,7 @@ def mounted(store: Store, runs: Sequence[Run]) -> list[MountedPoses]:
     names = {run.id: short_name(run.id) for run in runs}
     if len(set(names.values())) < len(names):
         names = {run_id: run_id for run_id in names}
-    whole = any(axis_of(run)[-1] != "x" for run in runs)
+    whole = any(mount_axis(run.plan, run.provenance)[-1] != "x" for run in runs)
     poses_of = poses_with_gyro if whole else counted_poses
     return [
         lot
@@ -233,7 +233,7 @@ def mounted(store: Store, runs: Sequence[Run]) -> list[MountedPoses]:
             unit=run.unit,
             run_id=run.id,
             name=names[run.id],
-            axis=axis_of(run),
+            axis=mount_axis(run.plan, run.provenance),
             planned_deg=(run.plan or {}).get("mounts_deg") or [0.0],
         )
     ]

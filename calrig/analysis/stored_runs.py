@@ -12,18 +12,13 @@ from calrig.calibration.diagnosis import Findings, diagnose
 from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose
 from calrig.calibration.regression import ASSUMED, AssumedReference, DiagnosisRequest
 from calrig.export.poses_csv import Labels
-from calrig.model.run import AT_REST
+from calrig.model.run import AT_REST, mount_axis
 from calrig.processes.pool import run_in_subprocess
-from calrig.store.records import Run
+from calrig.store.records import Run, Unit
 
 if TYPE_CHECKING:
     from calrig.settings import RigSettings
     from calrig.store import Store
-
-
-def axis_of(run: Run) -> str:
-    """Which of the unit's axes lay along the stage's: as it was planned, or an imported file says."""
-    return str((run.plan or run.provenance).get("mount_axis", "x"))
 
 
 def mount_columns(run_id: str, axis: str, pose: Pose) -> dict[str, str | float]:
@@ -33,7 +28,7 @@ def mount_columns(run_id: str, axis: str, pose: Pose) -> dict[str, str | float]:
 
 def labels_of(run: Run) -> Callable[[Pose], Labels] | None:
     """What a table of a run's poses says of each in words; None where nothing was asked of mounts."""
-    plan, axis = run.plan or {}, axis_of(run)
+    plan, axis = run.plan or {}, mount_axis(run.plan, run.provenance)
     if plan.get("mounts_deg", [0.0]) == [0.0] and axis == "x":
         return None
 
@@ -61,6 +56,18 @@ def stored_run(store: Store, run_id: str) -> Run:
     if run is None:
         raise Unknown(f"there is no run {run_id}")
     return run
+
+
+def known_unit(store: Store, serial: str) -> Unit:
+    """The unit.
+
+    Raises:
+        Unknown: there is none.
+    """
+    unit = store.units.get(serial)
+    if unit is None:
+        raise Unknown(f"there is no unit {serial!r}")
+    return unit
 
 
 def ended_run(store: Store, run_id: str) -> Run:
@@ -161,7 +168,7 @@ def runs_together(store: Store, run_id: str, more: Sequence[str] = ()) -> list[R
     for one in runs:
         if one.status not in AT_REST:
             raise Conflict(f"run {one.id} is {one.status}: wait until it has ended")
-        if (axis := axis_of(one)) != "x":
+        if (axis := mount_axis(one.plan, one.provenance)) != "x":
             raise Conflict(
                 f"run {one.id} had the unit's {axis} along the stage's axis: a diagnosis is of elevations "
                 "about x; `solve` takes it"

@@ -47,6 +47,7 @@ from calrig.api.benches import BenchPage
 from calrig.api.body_limits import JSON_BYTES, BodyPatience
 from calrig.api.context import ApiContext
 from calrig.api.origin_check import OriginCheck, RequestLog
+from calrig.api.routes import problems_in_json
 from calrig.api.streams import FairStartMiddleware
 from calrig.laboratory import LaboratorySettings
 from calrig.runs.services import Service
@@ -151,7 +152,7 @@ def api(lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
         summary="Calibrates IMU attitude sensors on a rotary stage",
         lifespan=lifespan,
         openapi_url=None,  # FastAPI makes it in the event loop, which takes a second: the one kept is sent
-        responses=errors.problems_in_json(401, 403, 408, 413, 422, 429, 503),  # of any path
+        responses=problems_in_json(401, 403, 408, 413, 422, 429, 503),  # of any path
         docs_url=None,  # its pages load their scripts from another host
         redoc_url=None,
     )

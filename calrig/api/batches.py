@@ -12,11 +12,11 @@ from fastapi.responses import Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context
-from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
 from calrig.api.models import Body
+from calrig.api.routes import answers, problems
 from calrig.model.base import Model
 from calrig.model.plan import Plan
 from calrig.model.run import Mount, Progress, Status
@@ -160,7 +160,7 @@ class ListedBatch(Model):
 router = APIRouter(tags=["batches"])
 
 
-@router.get("/api/batches", response_model=list[ListedBatch], summary="Batches, the newest first")
+@router.get("/api/batches", **answers(list[ListedBatch], "Batches, the newest first"))
 def list_batches(context: Context) -> object:
     """The last twenty."""
     return [
@@ -170,12 +170,7 @@ def list_batches(context: Context) -> object:
 
 
 @router.post(
-    "/api/batches",
-    dependencies=[requires("operator")],
-    status_code=201,
-    response_model=BatchAnswer,
-    responses=problems(404, 413, 422),
-    summary="Create a batch",
+    "/api/batches", **answers(BatchAnswer, "Create a batch", 404, 413, 422, role="operator", status=201)
 )
 def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
     """Nothing moves until a person confirms that a unit is mounted. A unit named twice is one batch item."""
@@ -193,10 +188,9 @@ def make_batch(body: MakeBatch, context: Context, who: Who) -> object:
 
 @router.post(
     "/api/batches/read",
-    dependencies=[requires("operator")],
-    response_model=SerialsAnswer,
-    responses=problems(413, 422),
-    summary="Read the serials of a CSV, before a batch is made of them",
+    **answers(
+        SerialsAnswer, "Read the serials of a CSV, before a batch is made of them", 413, 422, role="operator"
+    ),
 )
 def read_serials(body: Table) -> object:
     """Keeps nothing. 422 names the line that is wrong."""
@@ -225,10 +219,7 @@ def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, He
 
 @router.post(
     "/api/batches/{batch_id}/units",
-    dependencies=[requires("operator")],
-    response_model=BatchAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Add units to a batch",
+    **answers(BatchAnswer, "Add units to a batch", 404, 409, 413, 422, role="operator"),
 )
 def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
     """Added at the end. Units of the batch stay where they are and are listed in `known`, unless they failed.
@@ -241,10 +232,7 @@ def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
 
 @router.post(
     "/api/batches/{batch_id}/remove",
-    dependencies=[requires("operator")],
-    response_model=BatchAnswer,
-    responses=problems(404, 409, 422),
-    summary="Remove a unit from a batch",
+    **answers(BatchAnswer, "Remove a unit from a batch", 404, 409, 422, role="operator"),
 )
 def remove_unit(batch_id: str, body: NameUnit, context: Context) -> object:
     """One that waits; 409 otherwise."""
@@ -254,10 +242,7 @@ def remove_unit(batch_id: str, body: NameUnit, context: Context) -> object:
 
 @router.post(
     "/api/batches/{batch_id}/start",
-    dependencies=[requires("operator")],
-    response_model=BatchAnswer,
-    responses=problems(404, 409, 422),
-    summary="Start the run of a mounted unit",
+    **answers(BatchAnswer, "Start the run of a mounted unit", 404, 409, 422, role="operator"),
 )
 async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: Heavy, who: Who) -> object:
     """409 where the unit does not wait or the rig is busy: of two who ask at once one is refused.
@@ -275,10 +260,7 @@ async def start_turn(batch_id: str, body: StartTurn, context: Context, heavy: He
 
 @router.post(
     "/api/batches/{batch_id}/look",
-    dependencies=[requires("operator")],
-    response_model=LookAnswer,
-    responses=problems(404),
-    summary="Check whether the expected units are present",
+    **answers(LookAnswer, "Check whether the expected units are present", 404, role="operator"),
 )
 def look(batch_id: str, context: Context) -> object:
     """For six seconds the boards of idle rigs are opened and listened to; nothing moves.
@@ -289,11 +271,7 @@ def look(batch_id: str, context: Context) -> object:
 
 
 @router.post(
-    "/api/batches/{batch_id}/close",
-    dependencies=[requires("operator")],
-    response_model=BatchAnswer,
-    responses=problems(404, 409),
-    summary="Close a batch",
+    "/api/batches/{batch_id}/close", **answers(BatchAnswer, "Close a batch", 404, 409, role="operator")
 )
 def close_batch(batch_id: str, context: Context) -> object:
     """A run in progress continues."""
@@ -361,7 +339,8 @@ def _seen(standing: Standing, seen: BoardCheck | None, on: Turn | None) -> SeenA
 def _last(standing: Standing, rig: str) -> Turn | None:
     """What ended last on a rig, among what was measured."""
     mine = [turn for turn in standing.now.turns if turn.rig == rig and turn.state in ("done", "failed")]
-    return max((t for t in mine if t.run_id), key=lambda t: str(_finished(standing, t)), default=None)
+    ran = (turn for turn in mine if turn.run_id)
+    return max(ran, key=lambda turn: str(standing.runs[turn.run_id or ""].finished_at), default=None)
 
 
 def _came_to_nothing(standing: Standing, rig: str, on: Turn | None, last: Run | None) -> bool:
@@ -370,10 +349,6 @@ def _came_to_nothing(standing: Standing, rig: str, on: Turn | None, last: Run | 
         return False
     run = standing.runs[on.run_id]
     return run.rig == rig and (last is None or run.created_at > last.created_at)
-
-
-def _finished(standing: Standing, turn: Turn) -> datetime | None:
-    return standing.runs[turn.run_id or ""].finished_at
 
 
 def _turn(standing: Standing, turn: Turn) -> TurnAnswer:

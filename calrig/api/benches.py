@@ -14,12 +14,12 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from calrig.api.access import CLOSE, Who, address_of, is_loopback, requires
+from calrig.api.access import CLOSE, Who, address_of, is_loopback
 from calrig.api.body_limits import ENROLL_PATH, LOGIN_BYTES
 from calrig.api.context import Context
-from calrig.api.errors import problems
 from calrig.api.models import Body
 from calrig.api.origin_check import HARMLESS
+from calrig.api.routes import answers, problems
 from calrig.model.base import Model
 from calrig.model.service import Membership
 from calrig.store.bench_tables import BENCH_NAME
@@ -58,19 +58,14 @@ class Joined(Model):
     db: str
 
 
-@router.get("/api/benches", response_model=list[Membership], summary="Every bench, by name")
+@router.get("/api/benches", **answers(list[Membership], "Every bench, by name"))
 def list_benches(context: Context) -> object:
     """Those that were revoked as well. What their rigs do is at `/api/rigs`."""
     return context.store.enrolment.benches()
 
 
 @router.post(
-    "/api/benches",
-    status_code=201,
-    response_model=BenchWithCode,
-    responses=problems(409, 413, 422),
-    dependencies=[requires("admin")],
-    summary="Let a bench join",
+    "/api/benches", **answers(BenchWithCode, "Let a bench join", 409, 413, 422, role="admin", status=201)
 )
 def add_bench(body: NewBench, context: Context, who: Who) -> object:
     """By a code for `calrig agent enroll` that works once, within a day; the store keeps its hash.
@@ -109,13 +104,7 @@ def enroll(body: Code, request: Request, context: Context) -> Joined:
     return Joined(bench=bench, db=db)
 
 
-@router.delete(
-    "/api/benches/{name}",
-    response_model=Membership,
-    responses=problems(404),
-    dependencies=[requires("admin")],
-    summary="Revoke a bench",
-)
+@router.delete("/api/benches/{name}", **answers(Membership, "Revoke a bench", 404, role="admin"))
 def revoke_bench(name: str, context: Context, who: Who) -> object:
     """Blocks the bench's login and closes its connections; data it has measured is kept."""
     return context.store.enrolment.revoke(name, who=who)

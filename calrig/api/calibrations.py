@@ -12,11 +12,11 @@ from calrig.analysis.calibration_in_force import wanted_revision
 from calrig.analysis.certificates import exported, exported_noise
 from calrig.analysis.errors import Invalid
 from calrig.analysis.revisions import issued_since
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context, KnownUnit
-from calrig.api.errors import problems
 from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.models import Body, Reason, ReasonIfAny
+from calrig.api.routes import BYTES, TEXT, answers
 from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
 from calrig.model.base import Model
 from calrig.model.calibration import Calibration, IssuedAct, Revision
@@ -71,9 +71,7 @@ class FormatAnswer(Model):
     about_one_axis: str = Field(description="What it holds of a calibration about one axis alone.")
 
 
-@router.get(
-    "/api/calibration-formats", response_model=list[FormatAnswer], summary="Formats of other programs"
-)
+@router.get("/api/calibration-formats", **answers(list[FormatAnswer], "Formats of other programs"))
 def list_formats() -> object:
     """The names that `format` of a calibration takes beside `json`, `pdf` and `dcc`."""
     return exporters()
@@ -82,18 +80,15 @@ def list_formats() -> object:
 # The longer paths come first: `{serial:path}` would take their ends for parts of the serial number.
 @router.get(
     "/api/units/{serial:path}/calibration",
-    response_model=Calibration,
-    responses={
-        200: {
-            "content": {
-                "text/plain": {"schema": {"type": "string"}},
-                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
-                "application/xml": {"schema": {"type": "string"}},
-            }
-        },
-        **problems(404, 409, 422, 501),
-    },
-    summary="The calibration in force",
+    **answers(
+        Calibration,
+        "The calibration in force",
+        404,
+        409,
+        422,
+        501,
+        sends={"text/plain": TEXT, "application/pdf": BYTES, "application/xml": TEXT},
+    ),
 )
 def show_calibration(
     serial: str,
@@ -126,9 +121,7 @@ def show_calibration(
 
 @router.get(
     "/api/units/{serial:path}/calibrations",
-    response_model=list[Revision],
-    responses=problems(404),
-    summary="Every issued revision, newest first",
+    **answers(list[Revision], "Every issued revision, newest first", 404),
 )
 def list_revisions(unit: KnownUnit, context: Context) -> object:
     """At most one is in force; `stale` says what it rests on that has changed since it was made."""
@@ -137,10 +130,7 @@ def list_revisions(unit: KnownUnit, context: Context) -> object:
 
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/release",
-    dependencies=[requires("releaser")],
-    response_model=Revision,
-    responses=problems(404, 409, 413, 422),
-    summary="Put a revision in force",
+    **answers(Revision, "Put a revision in force", 404, 409, 413, 422, role="releaser"),
 )
 def release(
     unit: KnownUnit, revision: Number, context: Context, who: Who, body: ReasonIfAny | None = None
@@ -156,10 +146,7 @@ def release(
 
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/withdraw",
-    dependencies=[requires("releaser")],
-    response_model=Revision,
-    responses=problems(404, 409, 413, 422),
-    summary="Withdraw a revision permanently",
+    **answers(Revision, "Withdraw a revision permanently", 404, 409, 413, 422, role="releaser"),
 )
 def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
     """If it was in force, the unit has no calibration in force afterwards."""
@@ -169,11 +156,16 @@ def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, 
 
 @router.post(
     "/api/units/{serial:path}/calibrations",
-    dependencies=[requires("operator")],
-    status_code=201,
-    response_model=Revision,
-    responses=problems(404, 409, 413, 422),
-    summary="Draft a calibration from a run or a joint solution",
+    **answers(
+        Revision,
+        "Draft a calibration from a run or a joint solution",
+        404,
+        409,
+        413,
+        422,
+        role="operator",
+        status=201,
+    ),
 )
 def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object:
     """Numbered and frozen; released as the `release` of the run's rig says."""
@@ -187,9 +179,7 @@ def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object
 
 @router.get(
     "/api/calibrations",
-    response_model=list[IssuedAct],
-    responses=problems(422),
-    summary="What was issued, released or withdrawn, oldest first",
+    **answers(list[IssuedAct], "What was issued, released or withdrawn, oldest first", 422),
 )
 def list_issued(context: Context, since: datetime | None = None) -> object:
     """Over all units; `since` a time (without a zone, UTC)."""

@@ -8,11 +8,11 @@ from pydantic import Field
 
 from calrig.analysis.calibration_in_force import wanted_revision
 from calrig.analysis.errors import Unknown
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import Context, KnownUnit
-from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
 from calrig.api.models import Body
+from calrig.api.routes import BYTES, TEXT, answers
 from calrig.model.base import Model
 from calrig.store.certificates import IssuedCertificate
 
@@ -47,11 +47,18 @@ class CertificateAnswer(IssuedCertificate):
 
 @router.post(
     "/api/units/{serial:path}/certificates",
-    dependencies=[requires("releaser")],
-    status_code=201,
-    response_model=CertificateAnswer,
-    responses=problems(404, 409, 413, 422, 429, 501),
-    summary="Issue the certificate of a revision",
+    **answers(
+        CertificateAnswer,
+        "Issue the certificate of a revision",
+        404,
+        409,
+        413,
+        422,
+        429,
+        501,
+        role="releaser",
+        status=201,
+    ),
 )
 def issue(unit: KnownUnit, body: NewCertificate, context: Context, heavy: Heavy, who: Who) -> object:
     """Its bytes are kept for ever; a correction is a new one that names the one it replaces, and why.
@@ -75,12 +82,7 @@ def issue(unit: KnownUnit, body: NewCertificate, context: Context, heavy: Heavy,
         raise HTTPException(501, str(error)) from error
 
 
-@router.get(
-    "/api/certificates",
-    response_model=list[CertificateAnswer],
-    responses=problems(422),
-    summary="Issued certificates, newest first",
-)
+@router.get("/api/certificates", **answers(list[CertificateAnswer], "Issued certificates, newest first", 422))
 def list_certificates(
     context: Context,
     unit: Annotated[str | None, Query(description="Of this unit alone.")] = None,
@@ -94,18 +96,13 @@ def list_certificates(
 
 @router.get(
     "/api/certificates/{number}",
-    response_class=Response,
-    responses={
-        200: {
-            "content": {
-                "application/pdf": {"schema": {"type": "string", "format": "binary"}},
-                "application/xml": {"schema": {"type": "string"}},
-                "application/json": {},
-            }
-        },
-        **problems(404, 422),
-    },
-    summary="A certificate as issued",
+    **answers(
+        None,
+        "A certificate as issued",
+        404,
+        422,
+        sends={"application/pdf": BYTES, "application/xml": TEXT, "application/json": {}},
+    ),
 )
 def show_certificate(
     number: str,

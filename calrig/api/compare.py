@@ -11,8 +11,8 @@ from calrig.analysis.comparison import comparison_json
 from calrig.analysis.histories import unit_changes
 from calrig.analysis.offloaded import with_store
 from calrig.api.context import ApiContext, Context
-from calrig.api.errors import problems
 from calrig.api.jobs import BackgroundWork, Heavy
+from calrig.api.routes import answers
 from calrig.model.comparison import Change, Comparison
 from calrig.store import Store
 
@@ -20,12 +20,7 @@ router = APIRouter(tags=["units"])
 T = TypeVar("T")
 
 
-@router.get(
-    "/api/units/{serial:path}/changes",
-    response_model=list[Change],
-    responses=problems(404),
-    summary="What changed from run to run",
-)
+@router.get("/api/units/{serial:path}/changes", **answers(list[Change], "What changed from run to run", 404))
 def show_changes(serial: str, context: Context) -> object:
     """From each valid calibration to the next, the oldest first.
 
@@ -40,12 +35,7 @@ Units = Annotated[
 ]
 
 
-@router.get(
-    "/api/compare",
-    response_model=Comparison,
-    responses=problems(404, 429, 503),
-    summary="Units side by side",
-)
+@router.get("/api/compare", **answers(Comparison, "Units side by side", 404, 429, 503))
 def compare(context: Context, heavy: Heavy, unit: Units = None) -> Response:
     """Valid calibrations only; `spread` compares the differences between units with the repeatability.
 

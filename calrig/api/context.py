@@ -11,9 +11,9 @@ from calrig.analysis.amendments import Records
 from calrig.analysis.diagnoses import Acceptance, Diagnoses
 from calrig.analysis.due_dates import INTERVAL_DAYS, DueDates, due_dates
 from calrig.analysis.error_map import Basis
-from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import Histories
 from calrig.analysis.revisions import Issuer
+from calrig.analysis.stored_runs import known_unit
 from calrig.api.access import Attempts
 from calrig.api.job import Jobs
 from calrig.api.streams import ReadCache, Streams
@@ -105,10 +105,7 @@ KnownRun = Annotated[Run, Depends(_known_run)]
 
 
 def _known_unit(serial: str, context: Context) -> Unit:
-    unit = context.store.units.get(serial)
-    if unit is None:
-        raise Unknown(f"there is no unit {serial!r}")
-    return unit
+    return known_unit(context.store, serial)
 
 
 KnownUnit = Annotated[Unit, Depends(_known_unit)]

@@ -9,12 +9,12 @@ from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid, RunsError
 from calrig.analysis.stored_runs import request_of
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import Context, KnownRun
-from calrig.api.errors import problems
 from calrig.api.job import Job
-from calrig.api.jobs import ACCEPTED, Heavy, Wait
+from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import Body, RunAnswer
+from calrig.api.routes import answers
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.regression import (
@@ -62,10 +62,16 @@ class TakeBack(Accept):
 
 @router.post(
     "/api/runs/{run_id}/diagnosis",
-    dependencies=[requires("operator")],
-    response_model=Diagnosis,
-    responses=ACCEPTED | problems(404, 409, 413, 422),
-    summary="Trace what bias and scale leave of a run",
+    **answers(
+        Diagnosis,
+        "Trace what bias and scale leave of a run",
+        404,
+        409,
+        413,
+        422,
+        role="operator",
+        as_job=True,
+    ),
 )
 async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """With more runs of the unit where `runs` names them. The document is kept with the run.
@@ -87,12 +93,7 @@ async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy
     return await heavy.answer(work, wait=wait, kept_at=lambda _: f"/api/runs/{run.id}/diagnosis")
 
 
-@router.get(
-    "/api/runs/{run_id}/diagnosis",
-    response_model=Diagnosis,
-    responses=problems(404),
-    summary="The last diagnosis of a run",
-)
+@router.get("/api/runs/{run_id}/diagnosis", **answers(Diagnosis, "The last diagnosis of a run", 404))
 def last_diagnosis(run: KnownRun, context: Context) -> object:
     """404 before the first."""
     return context.diagnoses.last(run.id)
@@ -100,10 +101,7 @@ def last_diagnosis(run: KnownRun, context: Context) -> object:
 
 @router.post(
     "/api/runs/{run_id}/diagnosis/accept",
-    dependencies=[requires("releaser")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Put effects of a diagnosis in force",
+    **answers(RunAnswer, "Put effects of a diagnosis in force", 404, 409, 413, 422, role="releaser"),
 )
 def accept(run: KnownRun, body: Accept, context: Context, who: Who) -> Run:
     """From now on: those of the sensor for the unit, those of the stage for the rig."""
@@ -112,10 +110,7 @@ def accept(run: KnownRun, body: Accept, context: Context, who: Who) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/diagnosis/withdraw",
-    dependencies=[requires("releaser")],
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Take accepted effects back",
+    **answers(RunAnswer, "Take accepted effects back", 404, 409, 413, 422, role="releaser"),
 )
 def take_back(run: KnownRun, body: TakeBack, context: Context, who: Who) -> Run:
     """What was accepted from this run is in force no more; what was accepted before it is so again."""
@@ -124,11 +119,15 @@ def take_back(run: KnownRun, body: TakeBack, context: Context, who: Who) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/follow-up",
-    dependencies=[requires("operator")],
-    status_code=201,
-    response_model=RunAnswer,
-    responses=ACCEPTED | problems(404, 409),
-    summary="Start the run that separates what the diagnosis could not",
+    **answers(
+        RunAnswer,
+        "Start the run that separates what the diagnosis could not",
+        404,
+        409,
+        role="operator",
+        as_job=True,
+        status=201,
+    ),
 )
 async def follow_up(run: KnownRun, context: Context, heavy: Heavy, who: Who, wait: Wait = True) -> Any:
     """409, with the reason, where no run on this rig would help. Its diagnosis is of all runs together.
@@ -178,7 +177,7 @@ class CatalogueEffect(Model):
     remedy: str
 
 
-@router.get("/api/effects", response_model=list[CatalogueEffect], summary="The catalogue of effects")
+@router.get("/api/effects", **answers(list[CatalogueEffect], "The catalogue of effects"))
 def list_effects() -> list[CatalogueEffect]:
     """Every effect that a diagnosis may name, by name, and `unnamed`, the shapes that have none.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from tempfile import gettempdir
-from typing import Any
 from urllib.parse import quote
 
 from fastapi import FastAPI, Request
@@ -15,7 +14,6 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 
 from calrig.analysis.errors import Conflict, Invalid, RunsError, Unknown
-from calrig.api.models import Problem
 from calrig.api.origin_check import HEADERS, NOT_KEPT
 from calrig.invalid_fields import SHOWN, in_words, path_of
 from calrig.processes.pool import WorkError, WorkLost, WorkRefused, WorkTooLarge
@@ -42,36 +40,6 @@ STATUS: dict[type[Exception], int] = {
 CLIENT_LEFT = 499
 """Nobody hears it but the log."""
 DEFECT = "calrig failed inside; the service's log says where"
-
-WORDS = {
-    401: "No token or session was shown, or a wrong one",
-    403: "Who asks may not do this; or the request came by a name that is not the service's, or from a page "
-    "elsewhere",
-    404: "Unknown",
-    408: "The body came too slowly",
-    409: "The rig is busy, the run's state does not allow this, or the stage was not seen to stand",
-    413: "The body is too large",
-    422: "Invalid",
-    429: "Too many wrong tokens or codes came from there, or too much heavy work is waiting",
-    501: "What makes it is not installed",
-    503: "The store or the disk is full, the store locked or read-only, too many uploads or event streams "
-    "are in hand, or a process was killed",
-}
-
-
-Responses = dict[int | str, dict[str, Any]]
-"""Of a path, by status, as FastAPI takes them."""
-
-
-def problems(*codes: int) -> Responses:
-    """The error answers of a path, for the OpenAPI document."""
-    return {code: {"model": Problem, "description": WORDS[code]} for code in codes}
-
-
-def problems_in_json(*codes: int) -> Responses:
-    """The same for a path whose own answers are not JSON: a model would be said to be of their type."""
-    content = {"application/json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
-    return {code: {"content": content, "description": WORDS[code]} for code in codes}
 
 
 def install(app: FastAPI) -> None:

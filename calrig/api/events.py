@@ -6,13 +6,13 @@ from functools import partial
 from typing import Annotated, NamedTuple
 
 from fastapi import APIRouter, Depends, Header
-from fastapi.responses import Response, StreamingResponse
+from fastapi.responses import StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
 from starlette.exceptions import HTTPException
 
 from calrig.api.context import ApiContext, Context, KnownRun
-from calrig.api.errors import problems_in_json
+from calrig.api.routes import answers
 from calrig.model.run import AT_REST
 from calrig.store import Event
 
@@ -74,12 +74,13 @@ async def _news(run: KnownRun, context: Context) -> AsyncIterator[asyncio.Event]
 
 @router.get(
     "/api/runs/{run_id}/events",
-    response_class=Response,  # with EventStream, the document would call the whole answer one string
-    responses={
-        200: {"content": {EventStream.media_type: {"itemSchema": AN_EVENT}}},
-        **problems_in_json(404, 422),
-    },
-    summary="Server-Sent Events, from the beginning or after `Last-Event-ID`",
+    **answers(
+        None,  # with EventStream, the document would call the whole answer one string
+        "Server-Sent Events, from the beginning or after `Last-Event-ID`",
+        404,
+        422,
+        sends={EventStream.media_type: {"itemSchema": AN_EVENT}},
+    ),
 )
 async def events(
     run: KnownRun,

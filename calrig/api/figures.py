@@ -15,8 +15,8 @@ from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import charts, histories
 from calrig.api.compare import Units, of_units
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
-from calrig.api.errors import problems
 from calrig.api.jobs import Heavy
+from calrig.api.routes import answers
 from calrig.model.noise import Figure
 from calrig.store import Run
 from calrig.store.records import Document
@@ -31,12 +31,7 @@ Chosen = Annotated[list[str] | None, Query(description="Units with a colour wher
 router = APIRouter(tags=["figures"])
 
 
-@router.get(
-    "/api/runs/{run_id}/figures/{name}",
-    response_model=Figure,
-    responses=problems(404, 409, 422),
-    summary="A picture of one run",
-)
+@router.get("/api/runs/{run_id}/figures/{name}", **answers(Figure, "A picture of one run", 404, 409, 422))
 def run_figure(run: KnownRun, name: RunFigure, context: Context, fit: Fit = "verdict") -> figures.Figure:
     """What was measured, or what its last diagnosis (404 before) has found.
 
@@ -112,24 +107,14 @@ def _residual(context: ApiContext, run: Run, fit: Fit) -> figures.Figure:
     )
 
 
-@router.get(
-    "/api/units/{serial:path}/figures/history",
-    response_model=Figure,
-    responses=problems(404),
-    summary="A unit's history",
-)
+@router.get("/api/units/{serial:path}/figures/history", **answers(Figure, "A unit's history", 404))
 def unit_history(unit: KnownUnit, context: Context) -> figures.Figure:
     """Bias, scale and RMS of its runs over time."""
     found = histories(context.store, [unit.serial])
     return figures.history(compared_runs(context.store, [unit.serial], found)[unit.serial])
 
 
-@router.get(
-    "/api/units/{serial:path}/figures/chart",
-    response_model=Figure,
-    responses=problems(404),
-    summary="A unit's control chart",
-)
+@router.get("/api/units/{serial:path}/figures/chart", **answers(Figure, "A unit's control chart", 404))
 def unit_chart(unit: KnownUnit, context: Context) -> figures.Figure:
     """Moving averages of bias and scale since the unit last changed; empty where repeatability is unknown."""
     found = histories(context.store, [unit.serial])
@@ -144,12 +129,7 @@ def unit_chart(unit: KnownUnit, context: Context) -> figures.Figure:
     return figures.control_chart(when, averages, limit)
 
 
-@router.get(
-    "/api/rigs/{name}/figures/check-unit",
-    response_model=Figure,
-    responses=problems(404),
-    summary="A rig's control chart",
-)
+@router.get("/api/rigs/{name}/figures/check-unit", **answers(Figure, "A rig's control chart", 404))
 def rig_chart(name: str, context: Context) -> figures.Figure:
     """Moving averages of its check unit's bias and scale."""
     context.service.known_rig(name)
@@ -157,10 +137,7 @@ def rig_chart(name: str, context: Context) -> figures.Figure:
 
 
 @router.get(
-    "/api/compare/figures/{name}",
-    response_model=Figure,
-    responses=problems(404, 422, 429, 503),
-    summary="A picture of several units",
+    "/api/compare/figures/{name}", **answers(Figure, "A picture of several units", 404, 422, 429, 503)
 )
 def compare_figure(
     name: ComparedFigure,

@@ -8,13 +8,13 @@ from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid, Unknown
 from calrig.analysis.imports import ImportOrigin
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.body_limits import POSES_BYTES, copied, name_of, on_disk
 from calrig.api.context import Context
-from calrig.api.errors import problems
 from calrig.api.job import Job
-from calrig.api.jobs import ACCEPTED, Heavy, Wait
+from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import RunAnswer
+from calrig.api.routes import answers
 from calrig.calibration.regression import AssumedReference
 from calrig.export.csv_errors import CsvError
 from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
@@ -26,12 +26,18 @@ router = APIRouter(tags=["runs"])
 
 @router.post(
     "/api/imports",
-    dependencies=[requires("operator")],
     max_body_size=POSES_BYTES,
-    status_code=201,
-    response_model=RunAnswer,
-    responses=ACCEPTED | problems(408, 413, 422, 503),
-    summary="Make a run of a CSV of poses",
+    **answers(
+        RunAnswer,
+        "Make a run of a CSV of poses",
+        408,
+        413,
+        422,
+        503,
+        role="operator",
+        as_job=True,
+        status=201,
+    ),
 )
 async def import_poses(
     context: Context,

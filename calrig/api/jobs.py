@@ -16,10 +16,11 @@ from starlette.exceptions import HTTPException
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.offloaded import with_store
-from calrig.api.access import requires, share_of
+from calrig.api.access import share_of
 from calrig.api.context import Context, context_of
-from calrig.api.errors import CLIENT_LEFT, Responses, problems
+from calrig.api.errors import CLIENT_LEFT
 from calrig.api.job import Job
+from calrig.api.routes import answers
 from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
 from calrig.store import Store
@@ -40,21 +41,13 @@ async def _known_job(job_id: str, context: Context) -> Job:
 KnownJob = Annotated[Job, Depends(_known_job)]
 
 
-@router.get(
-    "/api/jobs/{job_id}", response_model=JobState, responses=problems(404), summary="How far long work is"
-)
+@router.get("/api/jobs/{job_id}", **answers(JobState, "How far long work is", 404))
 async def show_job(job: KnownJob) -> Job:
     """`fraction` is null where the work cannot say, `result` the address of what came of it, once done."""
     return job
 
 
-@router.delete(
-    "/api/jobs/{job_id}",
-    dependencies=[requires("operator")],
-    response_model=JobState,
-    responses=problems(404),
-    summary="Cancel long work",
-)
+@router.delete("/api/jobs/{job_id}", **answers(JobState, "Cancel long work", 404, role="operator"))
 async def cancel_job(job: KnownJob) -> Job:
     """Its process is ended, and nothing is kept of it. One that has ended stays as it is.
 
@@ -66,9 +59,9 @@ async def cancel_job(job: KnownJob) -> Job:
 
 @router.get(
     "/api/jobs/{job_id}/result",
-    response_class=Response,
-    responses={200: {"content": {"application/json": {}}}, **problems(404, 409)},
-    summary="What came of long work that is kept nowhere else",
+    **answers(
+        None, "What came of long work that is kept nowhere else", 404, 409, sends={"application/json": {}}
+    ),
 )
 async def show_result(job: KnownJob) -> Response:
     """As the call that began it would have answered."""
@@ -82,9 +75,6 @@ T = TypeVar("T")
 
 AT_ONCE_S = 2.0
 """What is done by then is answered as if it had been waited for."""
-ACCEPTED: Responses = {
-    202: {"model": JobState, "description": "With `wait=false`, after two seconds: `GET /api/jobs/{id}`"}
-}
 Wait = Annotated[
     bool,
     Query(description="Whether to wait for the answer however long it takes; else 202 after two seconds."),

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Body
 from calrig.analysis.limits import replace
 from calrig.api.access import Who, requires
 from calrig.api.context import Context
-from calrig.api.errors import problems
+from calrig.api.routes import problems
 from calrig.model.verdict import Limit
 from calrig.settings import LimitSettings
 

@@ -8,8 +8,8 @@ from pydantic import Field
 from calrig.api.access import Caller, caller_of
 from calrig.api.authentication import Authentication
 from calrig.api.body_limits import LOGIN_BYTES, LOGIN_PATH
-from calrig.api.errors import problems
 from calrig.api.models import Body
+from calrig.api.routes import problems
 from calrig.model.base import Model
 from calrig.model.service import Role
 

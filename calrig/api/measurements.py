@@ -10,28 +10,25 @@ from fastapi.responses import PlainTextResponse, Response, StreamingResponse
 from pydantic_core import to_json
 
 from calrig.analysis.calibration_in_force import Fit, left_of_poses_deg, residuals_of
-from calrig.analysis.stored_runs import axis_of, labels_of, mount_columns
+from calrig.analysis.stored_runs import labels_of, mount_columns
 from calrig.api.context import ApiContext, Context, KnownRun
-from calrig.api.errors import problems, problems_in_json
 from calrig.api.models import PoseAnswer
+from calrig.api.routes import BYTES, TEXT, answers, problems_in_json
 from calrig.calibration.poses import GYRO_MEANS, Pose
 from calrig.calibration.results import raw_error_deg
 from calrig.export.poses_csv import write_pose_batches
 from calrig.export.samples_csv import write_samples_csv, write_samples_npz
+from calrig.model.run import mount_axis
 from calrig.store import Run, Store, StoredPose
 
 CSV = "text/csv; charset=utf-8"
-_TEXT = {"schema": {"type": "string"}}
-_BYTES = {"schema": {"type": "string", "format": "binary"}}
 
 router = APIRouter(tags=["measurements"])
 
 
 @router.get(
     "/api/runs/{run_id}/poses",
-    response_model=list[PoseAnswer],
-    responses={200: {"content": {"text/csv": _TEXT}}, **problems(404, 422)},
-    summary="The poses of a run",
+    **answers(list[PoseAnswer], "The poses of a run", 404, 422, sends={"text/csv": TEXT}),
 )
 def poses(
     run: KnownRun,
@@ -82,7 +79,7 @@ def _streamed(pieces: Iterator[AnyStr], media_type: str, name: str = "") -> Resp
 
 
 def _pose(stored: StoredPose, residual_deg: float | None, run: Run) -> dict[str, Any]:
-    axis = axis_of(run)
+    axis = mount_axis(run.plan, run.provenance)
     return {
         **dict.fromkeys(GYRO_MEANS),
         **stored.pose.row(),
@@ -103,12 +100,13 @@ def prefers_csv(accept: str) -> bool:
 
 @router.get(
     "/api/runs/{run_id}/samples",
-    response_class=Response,
-    responses={
-        200: {"content": {"text/csv": _TEXT, "application/octet-stream": _BYTES}},
-        **problems_in_json(404, 422),
-    },
-    summary="The raw samples of a run",
+    **answers(
+        None,
+        "The raw samples of a run",
+        404,
+        422,
+        sends={"text/csv": TEXT, "application/octet-stream": BYTES},
+    ),
 )
 def samples(
     run: KnownRun,

@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 import calrig
 from calrig.api.context import ApiContext, Context
 from calrig.api.overview import overdue_units
+from calrig.api.routes import TEXT, answers
 from calrig.store import StoreError
 
 RIG_STATES = ("idle", "busy", "unreachable", "offline")
@@ -21,12 +22,7 @@ RIG_STATES = ("idle", "busy", "unreachable", "offline")
 router = APIRouter(tags=["service"])
 
 
-@router.get(
-    "/api/metrics",
-    response_class=Response,
-    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
-    summary="Prometheus text",
-)
+@router.get("/api/metrics", **answers(None, "Prometheus text", sends={"text/plain": TEXT}))
 async def metrics(context: Context, accept: Annotated[str, Header()] = "") -> Response:
     """Counts since the service began, and how things stand; OpenMetrics where `Accept` asks for it."""
     try:

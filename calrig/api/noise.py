@@ -16,12 +16,12 @@ from calrig.analysis.noise_studies import (
     study_file,
     study_samples,
 )
-from calrig.api.access import Caller, caller_of, requires
+from calrig.api.access import Caller, caller_of
 from calrig.api.body_limits import LOG_BYTES, copied, name_of, on_disk
 from calrig.api.context import ApiContext, Context, KnownRun
-from calrig.api.errors import problems
 from calrig.api.job import Job
-from calrig.api.jobs import ACCEPTED, BackgroundWork, Heavy, Wait
+from calrig.api.jobs import BackgroundWork, Heavy, Wait
+from calrig.api.routes import answers
 from calrig.model.base import Model
 from calrig.model.noise import FiltersStudy, NoiseStudy
 from calrig.store import Run
@@ -45,9 +45,7 @@ Keeper = Annotated[Caller | None, Depends(_keeper)]
 
 @router.get(
     "/api/runs/{run_id}/noise",
-    response_model=NoiseStudy,
-    responses=ACCEPTED | problems(404, 409, 422),
-    summary="The noise in the log of a static run",
+    **answers(NoiseStudy, "The noise in the log of a static run", 404, 409, 422, as_job=True),
 )
 async def run_noise(run: KnownRun, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """Allan deviation, spectrum, distribution and dependence on temperature of each channel."""
@@ -57,9 +55,7 @@ async def run_noise(run: KnownRun, context: Context, heavy: Heavy, wait: Wait = 
 
 @router.get(
     "/api/runs/{run_id}/filters",
-    response_model=FiltersStudy,
-    responses=ACCEPTED | problems(404, 409, 422),
-    summary="The filters side by side on a run's samples",
+    **answers(FiltersStudy, "The filters side by side on a run's samples", 404, 409, 422, as_job=True),
 )
 async def run_filters(run: KnownRun, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """Jitter, lag and largest offset of each, the Kalman filter tuned from the run's own rests among them."""
@@ -81,9 +77,7 @@ UploadedLog = Annotated[Log, Depends()]
 @router.post(
     "/api/noise",
     max_body_size=LOG_BYTES,
-    response_model=NoiseStudy,
-    responses=ACCEPTED | problems(408, 413, 422, 503),
-    summary="The noise in a log from anybody's sensor",
+    **answers(NoiseStudy, "The noise in a log from anybody's sensor", 408, 413, 422, 503, as_job=True),
 )
 async def log_noise(
     heavy: Heavy, context: Context, keeper: Keeper, log: UploadedLog, wait: Wait = True
@@ -95,9 +89,15 @@ async def log_noise(
 @router.post(
     "/api/filters",
     max_body_size=LOG_BYTES,
-    response_model=FiltersStudy,
-    responses=ACCEPTED | problems(408, 413, 422, 503),
-    summary="The filters side by side on a log from anybody's sensor",
+    **answers(
+        FiltersStudy,
+        "The filters side by side on a log from anybody's sensor",
+        408,
+        413,
+        422,
+        503,
+        as_job=True,
+    ),
 )
 async def log_filters(
     heavy: Heavy, context: Context, keeper: Keeper, log: UploadedLog, wait: Wait = True
@@ -147,18 +147,13 @@ class KeptStudy(Model):
     filters: FiltersStudy | None
 
 
-@router.get("/api/log-studies", response_model=list[LogStudy], summary="Logs that people brought")
+@router.get("/api/log-studies", **answers(list[LogStudy], "Logs that people brought"))
 def studies(context: Context) -> object:
     """The latest 200, the newest first; what each found is at its own address."""
     return context.store.studies.newest()
 
 
-@router.get(
-    "/api/log-studies/{study_id}",
-    response_model=KeptStudy,
-    responses=problems(404),
-    summary="What was found in one",
-)
+@router.get("/api/log-studies/{study_id}", **answers(KeptStudy, "What was found in one", 404))
 def show_study(study_id: str, context: Context) -> object:
     """As it was answered then."""
     kept = context.store.studies.get(study_id)
@@ -169,13 +164,7 @@ def show_study(study_id: str, context: Context) -> object:
     return {"study": study, "noise": None, "filters": None, study.kind: answer}
 
 
-@router.delete(
-    "/api/log-studies/{study_id}",
-    dependencies=[requires("operator")],
-    status_code=204,
-    responses=problems(404),
-    summary="Remove one",
-)
+@router.delete("/api/log-studies/{study_id}", **answers(None, "Remove one", 404, role="operator", status=204))
 def remove_study(study_id: str, context: Context) -> None:
     """For good."""
     if not context.store.studies.remove(study_id):

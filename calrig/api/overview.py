@@ -11,6 +11,7 @@ from fastapi.responses import Response
 from pydantic import Field, TypeAdapter
 
 from calrig.api.context import ApiContext, Context
+from calrig.api.routes import answers
 from calrig.centre.bench_rigs import overview
 from calrig.model.base import Model
 from calrig.model.run import Mount, Progress, Status
@@ -145,7 +146,7 @@ def _look(context: ApiContext) -> _Seen:
     return _Seen(body, gzip.compress(body, 6, mtime=0), f'"{hashlib.sha256(body).hexdigest()[:16]}"')
 
 
-@router.get("/api/overdue", response_model=list[OverdueAnswer], summary="Units that are due to be calibrated")
+@router.get("/api/overdue", **answers(list[OverdueAnswer], "Units that are due to be calibrated"))
 async def show_overdue(context: Context, limit: Annotated[int, Query(ge=1, le=500)] = 100) -> object:
     """Those that are overdue for longest first; a minute old at most, more where there are very many runs."""
     return (await overdue_units(context))[:limit]

@@ -12,10 +12,10 @@ from calrig.analysis.errors import Invalid
 from calrig.analysis.limits import cannot_pass_on
 from calrig.analysis.stage_maps import kept_of
 from calrig.api.context import ApiContext, Context
-from calrig.api.errors import problems
 from calrig.api.job import Job
-from calrig.api.jobs import ACCEPTED, Heavy, Wait
+from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import Body
+from calrig.api.routes import answers
 from calrig.calibration.plan_design import Goals
 from calrig.model.plan import Plan, Until
 from calrig.model.plan_design import Design, Estimate
@@ -37,12 +37,7 @@ class PlanOnRig(Body):
     plan: Plan = Plan()
 
 
-@router.post(
-    "/api/plans/estimate",
-    response_model=Estimate,
-    responses=problems(404, 413, 422),
-    summary="Estimate a plan on a rig",
-)
+@router.post("/api/plans/estimate", **answers(Estimate, "Estimate a plan on a rig", 404, 413, 422))
 def estimate_plan(body: PlanOnRig, context: Context) -> Estimate:
     """Nothing moves. 422 says why a run of this plan would be refused.
 
@@ -84,9 +79,7 @@ class DesignAnswer(Design):
 
 @router.post(
     "/api/plans/design",
-    response_model=DesignAnswer,
-    responses=ACCEPTED | problems(404, 413, 422),
-    summary="The plan that gets there soonest",
+    **answers(DesignAnswer, "The plan that gets there soonest", 404, 413, 422, as_job=True),
 )
 async def design_plan(body: WantedPlan, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """Nothing moves. 422 says why no plan reaches what is wanted, and what would.

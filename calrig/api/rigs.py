@@ -14,11 +14,11 @@ from calrig import figures
 from calrig.analysis.check_standard import check_document
 from calrig.analysis.error_map import basis_of, poses_by_mounting, solved_map
 from calrig.analysis.stage_maps import listed_maps, put_in_force, shown_map
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context
-from calrig.api.errors import problems
 from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.models import Body
+from calrig.api.routes import answers
 from calrig.model.base import Model
 from calrig.model.noise import Figure
 from calrig.model.solution import ErrorMap
@@ -27,12 +27,7 @@ from calrig.store.rigs import CheckUnit
 router = APIRouter(tags=["rigs"])
 
 
-@router.get(
-    "/api/rigs/{name}/error-map",
-    response_model=ErrorMap,
-    responses=problems(404, 429),
-    summary="The rig error map",
-)
+@router.get("/api/rigs/{name}/error-map", **answers(ErrorMap, "The rig error map", 404, 429))
 async def show_error_map(name: str, context: Context, heavy: Heavy) -> ErrorMap:
     """Stage and units solved together over the rig's newest runs.
 
@@ -41,12 +36,7 @@ async def show_error_map(name: str, context: Context, heavy: Heavy) -> ErrorMap:
     return await _map_of(name, context, heavy)
 
 
-@router.get(
-    "/api/rigs/{name}/figures/error-map",
-    response_model=Figure,
-    responses=problems(404, 429),
-    summary="The rig error map, drawn",
-)
+@router.get("/api/rigs/{name}/figures/error-map", **answers(Figure, "The rig error map, drawn", 404, 429))
 async def rig_error_map(name: str, context: Context, heavy: Heavy) -> figures.Figure:
     """By angle of the dial and approach; empty while it is not known."""
     found = await _map_of(name, context, heavy)
@@ -125,20 +115,13 @@ class NamedMap(Model):
     file: str | None
 
 
-@router.get(
-    "/api/stage-maps", response_model=list[NamedMap], summary="The maps in force, of all rigs that have one"
-)
+@router.get("/api/stage-maps", **answers(list[NamedMap], "The maps in force, of all rigs that have one"))
 def list_maps(context: Context) -> object:
     """By name of the rig."""
     return listed_maps(context.store, context.service.maps)
 
 
-@router.get(
-    "/api/rigs/{name}/map",
-    response_model=StageMapAnswer,
-    responses=problems(404),
-    summary="The stage's map in force",
-)
+@router.get("/api/rigs/{name}/map", **answers(StageMapAnswer, "The stage's map in force", 404))
 def show_map(name: str, context: Context) -> object:
     """404 where the rig rests on its certificate alone."""
     rig = context.service.known_rig(name)
@@ -147,10 +130,15 @@ def show_map(name: str, context: Context) -> object:
 
 @router.post(
     "/api/rigs/{name}/map",
-    dependencies=[requires("admin")],
-    response_model=StageMapAnswer | None,
-    responses=problems(404, 409, 413, 422),
-    summary="Put the map of a solution in force, or withdraw it",
+    **answers(
+        StageMapAnswer | None,
+        "Put the map of a solution in force, or withdraw it",
+        404,
+        409,
+        413,
+        422,
+        role="admin",
+    ),
 )
 def put_map(name: str, body: PutMap, context: Context, who: Who) -> object:
     """Runs from now on rest on it; those that are there never change. 409 where it is not separable.
@@ -206,21 +194,14 @@ class CheckUnitAnswer(Model):
     suspect_runs: list[str]
 
 
-@router.get(
-    "/api/check-units",
-    response_model=list[CheckUnit],
-    summary="The check units of all rigs that have one",
-)
+@router.get("/api/check-units", **answers(list[CheckUnit], "The check units of all rigs that have one"))
 def list_check_units(context: Context) -> object:
     """By name of the rig."""
     return context.store.check_standards.all()
 
 
 @router.get(
-    "/api/rigs/{name}/check-unit",
-    response_model=CheckUnitAnswer,
-    responses=problems(404),
-    summary="How a rig stands by its check unit",
+    "/api/rigs/{name}/check-unit", **answers(CheckUnitAnswer, "How a rig stands by its check unit", 404)
 )
 def show_check_unit(name: str, context: Context) -> object:
     """404 where it has none."""
@@ -230,10 +211,7 @@ def show_check_unit(name: str, context: Context) -> object:
 
 @router.put(
     "/api/rigs/{name}/check-unit",
-    dependencies=[requires("releaser")],
-    response_model=CheckUnitAnswer,
-    responses=problems(404, 413, 422),
-    summary="Name the unit that a rig is checked by",
+    **answers(CheckUnitAnswer, "Name the unit that a rig is checked by", 404, 413, 422, role="releaser"),
 )
 def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -> object:
     """Its runs on the rig from now on are checks; its earlier runs are the baseline for the first check."""
@@ -244,10 +222,7 @@ def put_check_unit(name: str, body: NameCheckUnit, context: Context, who: Who) -
 
 @router.delete(
     "/api/rigs/{name}/check-unit",
-    dependencies=[requires("releaser")],
-    status_code=204,
-    responses=problems(404),
-    summary="Go without a check unit",
+    **answers(None, "Go without a check unit", 404, role="releaser", status=204),
 )
 def delete_check_unit(name: str, context: Context, who: Who) -> None:
     """Nothing is in doubt any more that a check had put in doubt."""

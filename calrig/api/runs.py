@@ -14,9 +14,8 @@ import calrig
 from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.errors import Invalid
 from calrig.analysis.run_search import found_runs, moment_of
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import Context, KnownRun
-from calrig.api.errors import problems
 from calrig.api.jobs import answer_of
 from calrig.api.models import (
     Body,
@@ -28,6 +27,7 @@ from calrig.api.models import (
     RunList,
     StartRun,
 )
+from calrig.api.routes import answers
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Found, stanza
@@ -65,18 +65,13 @@ async def health() -> Health:
     return Health(status="ok", version=calrig.__version__)
 
 
-@router.get("/api/rigs", response_model=list[RigState], summary="Every rig and what it is doing")
+@router.get("/api/rigs", **answers(list[RigState], "Every rig and what it is doing"))
 def rigs(context: Context) -> object:
     """In the order configured; the first one is what a run without `rig` takes."""
     return context.service.rigs()
 
 
-@router.post(
-    "/api/rigs/scan",
-    dependencies=[requires("operator")],
-    response_model=ScanAnswer,
-    summary="Look who answers on which port",
-)
+@router.post("/api/rigs/scan", **answers(ScanAnswer, "Look who answers on which port", role="operator"))
 async def scan(context: Context) -> object:
     """Moves nothing, but resets most boards; ports of this service's rigs and ports in use are left alone.
 
@@ -87,12 +82,7 @@ async def scan(context: Context) -> object:
     return {"found": found, "stanza": stanza(found, {rig.name for rig in context.service.rigs()})}
 
 
-@router.post(
-    "/api/rigs/{name}/stop",
-    response_model=RigState,
-    responses=problems(404, 409),
-    summary="Stop a rig's stage now",
-)
+@router.post("/api/rigs/{name}/stop", **answers(RigState, "Stop a rig's stage now", 404, 409))
 async def stop(name: str, context: Context, who: Who) -> object:
     """A run on the rig is aborted; a stage at rest gets the stop command as well.
 
@@ -104,10 +94,7 @@ async def stop(name: str, context: Context, who: Who) -> object:
 
 @router.delete(
     "/api/rigs/{name}/stop",
-    dependencies=[requires("operator")],
-    status_code=204,
-    responses=problems(404),
-    summary="Withdraw a stop that its bench has not answered",
+    **answers(None, "Withdraw a stop that its bench has not answered", 404, role="operator", status=204),
 )
 def withdraw_stop(name: str, context: Context, who: Who) -> None:
     """A stop that cannot be delivered stays: the bench obeys it before anything else when it is back.
@@ -118,30 +105,17 @@ def withdraw_stop(name: str, context: Context, who: Who) -> None:
 
 
 @router.post(
-    "/api/runs",
-    dependencies=[requires("operator")],
-    status_code=201,
-    response_model=RunAnswer,
-    responses=problems(404, 409, 413, 422),
-    summary="Start a run",
+    "/api/runs", **answers(RunAnswer, "Start a run", 404, 409, 413, 422, role="operator", status=201)
 )
 def start_run(body: StartRun, context: Context, who: Who) -> Run:
     """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until somebody begins the run.
 
     `operator` is who asks, where that is known by name.
     """
-    return context.service.start(
-        unit=body.unit,
-        rig=body.rig,
-        plan=body.plan,
-        operator=who or body.operator,
-        note=body.note,
-        stage_at_deg=body.stage_at_deg,
-        queue=body.queue,
-    )
+    return context.service.start(**dict(body) | {"operator": who or body.operator})
 
 
-@router.get("/api/runs", response_model=RunList, responses=problems(422), summary="Runs, newest first")
+@router.get("/api/runs", **answers(RunList, "Runs, newest first", 422))
 def list_runs(
     context: Context,
     response: Response,
@@ -184,18 +158,13 @@ def list_runs(
     return {"items": with_doubts(context.store, found.items), "next_cursor": found.next_cursor}
 
 
-@router.get("/api/runs/{run_id}", response_model=RunAnswer, responses=problems(404), summary="One run")
+@router.get("/api/runs/{run_id}", **answers(RunAnswer, "One run", 404))
 def show_run(run: KnownRun, context: Context) -> Run:
     """How far it is, what came out and where it came from."""
     return with_doubts(context.store, [run])[0]
 
 
-@router.post(
-    "/api/runs/{run_id}/abort",
-    response_model=RunAnswer,
-    responses=problems(404, 409),
-    summary="Stop the stage now and end the run",
-)
+@router.post("/api/runs/{run_id}/abort", **answers(RunAnswer, "Stop the stage now and end the run", 404, 409))
 async def abort_run(run_id: str, context: Context, who: Who) -> Run:
     """The poses measured so far stay. 200 and 409 as of a stop."""
     errand = context.service.begin_abort(run_id, who)
@@ -208,13 +177,8 @@ def acts_on_run(
     path: str, role: Role, summary: str, *problem_codes: int
 ) -> Callable[[Callable[..., Run]], Callable[..., Run]]:
     """Return the decorator of a path that does something to the run it names and answers with the run."""
-    return router.post(
-        f"/api/runs/{{run_id}}/{path}",
-        dependencies=[requires(role)],
-        response_model=RunAnswer,
-        responses=problems(*(problem_codes or (404, 409, 413, 422))),
-        summary=summary,
-    )
+    codes = problem_codes or (404, 409, 413, 422)
+    return router.post(f"/api/runs/{{run_id}}/{path}", **answers(RunAnswer, summary, *codes, role=role))
 
 
 @acts_on_run("pause", "operator", "Finish the pose in hand and hold", 404, 409)
@@ -300,10 +264,7 @@ class ClampUnit(Body):
 
 @router.post(
     "/api/rigs/{name}/clamp",
-    dependencies=[requires("operator")],
-    response_model=RigState,
-    responses=problems(404, 409, 422),
-    summary="Turn the unit with the rig's clamp",
+    **answers(RigState, "Turn the unit with the rig's clamp", 404, 409, 422, role="operator"),
 )
 async def clamp(name: str, body: ClampUnit, context: Context) -> object:
     """200 once the unit sits. No run asks for it: it waits for a person, who may use this and then resume.

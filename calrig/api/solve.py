@@ -12,12 +12,12 @@ from starlette.concurrency import run_in_threadpool
 from calrig import figures
 from calrig.analysis.errors import Invalid, Unknown
 from calrig.analysis.solutions import SolutionRequest, answer, question
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context
-from calrig.api.errors import problems
 from calrig.api.job import Job
-from calrig.api.jobs import ACCEPTED, Heavy, Wait
+from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import Body
+from calrig.api.routes import answers
 from calrig.calibration.poses import DiagnosisError
 from calrig.export.solution_documents import in_file
 from calrig.figures.joint import joint_figure
@@ -80,10 +80,16 @@ KnownSolution = Annotated[StoredSolution, Depends(_known_solution)]
 
 @router.post(
     "/api/solve",
-    dependencies=[requires("operator")],
-    response_model=Solution,
-    responses=ACCEPTED | problems(404, 409, 413, 422),
-    summary="Solve stage, mounts and units of runs together",
+    **answers(
+        Solution,
+        "Solve stage, mounts and units of runs together",
+        404,
+        409,
+        413,
+        422,
+        role="operator",
+        as_job=True,
+    ),
 )
 async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wait = True) -> Any:
     """Of the runs named and all calibrations that count of the units named; of a rig alone, of all on it.
@@ -104,7 +110,7 @@ async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wai
     return await heavy.answer(work, wait=wait, kept_at=lambda kept: f"/api/solve/{kept.id}")
 
 
-@router.get("/api/solve", response_model=list[ListedSolution], summary="Solutions, newest first")
+@router.get("/api/solve", **answers(list[ListedSolution], "Solutions, newest first"))
 def list_solutions(
     context: Context,
     rig: str | None = None,
@@ -114,12 +120,7 @@ def list_solutions(
     return context.store.solutions.newest(rig, limit)
 
 
-@router.get(
-    "/api/solve/{solution_id}",
-    response_model=Solution,
-    responses=problems(404),
-    summary="A solution",
-)
+@router.get("/api/solve/{solution_id}", **answers(Solution, "A solution", 404))
 def show_solution(solution: KnownSolution) -> Solution:
     """As it was found: what has become of its runs since is not in it."""
     return _shown(solution)
@@ -127,9 +128,7 @@ def show_solution(solution: KnownSolution) -> Solution:
 
 @router.get(
     "/api/solve/{solution_id}/map",
-    response_class=Response,
-    responses={200: {"content": {"application/json": {}}}, **problems(404)},
-    summary="The stage's map of a solution",
+    **answers(None, "The stage's map of a solution", 404, sends={"application/json": {}}),
 )
 def solution_map(solution: KnownSolution) -> Response:
     """The file `stage-map.json`, which a rig takes as its reference."""
@@ -138,9 +137,7 @@ def solution_map(solution: KnownSolution) -> Response:
 
 @router.get(
     "/api/solve/{solution_id}/units/{serial:path}",
-    response_class=Response,
-    responses={200: {"content": {"application/json": {}}}, **problems(404)},
-    summary="A unit's calibration by a solution",
+    **answers(None, "A unit's calibration by a solution", 404, sends={"application/json": {}}),
 )
 def solution_calibration(solution: KnownSolution, serial: str) -> Response:
     """CONTRACT section 6, with the uncertainty of this solution; it is no revision and never in force."""
@@ -151,21 +148,14 @@ def solution_calibration(solution: KnownSolution, serial: str) -> Response:
 
 @router.get(
     "/api/solve/{solution_id}/poses",
-    response_model=PoseResiduals,
-    responses=problems(404),
-    summary="What each pose of a solution leaves of its angle",
+    **answers(PoseResiduals, "What each pose of a solution leaves of its angle", 404),
 )
 def solution_poses(solution: KnownSolution) -> Document:
     """Columns of the poses that were not left out as wild."""
     return solution.found.poses
 
 
-@router.get(
-    "/api/solve/{solution_id}/figures/{name}",
-    response_model=Figure,
-    responses=problems(404, 422),
-    summary="A picture of a solution",
-)
+@router.get("/api/solve/{solution_id}/figures/{name}", **answers(Figure, "A picture of a solution", 404, 422))
 def solution_figure(solution: KnownSolution, name: Literal["map", "before", "after"]) -> figures.Figure:
     """`map`: the stage's, with its poses; `before`, `after`: what poses leave without it and with it."""
     return joint_figure(name, solution.found.document, solution.found.poses)

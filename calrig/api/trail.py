@@ -1,18 +1,17 @@
 """The trail: who did what, when and why."""
 
-from dataclasses import asdict
 from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, Field
 
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import Context
-from calrig.api.errors import problems
 from calrig.api.models import Body
+from calrig.api.routes import answers
 from calrig.model.base import Model
-from calrig.store.trail import Entry, What
+from calrig.store.trail import What
 
 router = APIRouter(tags=["access"])
 
@@ -50,18 +49,14 @@ class Backup(Body):
 
 @router.post(
     "/api/trail/backups",
-    dependencies=[requires("operator")],
-    status_code=201,
-    response_model=EntryAnswer,
-    responses=problems(409, 413, 422),
-    summary="Enter that a backup was made",
+    **answers(EntryAnswer, "Enter that a backup was made", 409, 413, 422, role="operator", status=201),
 )
 def enter_backup(body: Backup, context: Context, who: Who) -> object:
     """`calrig backup` does so for the copy that it has made: the trail then has the heads of its backups."""
-    return _shown(context.store.trail.add_backup(body.seq, body.sha256, who))
+    return context.store.trail.add_backup(body.seq, body.sha256, who)
 
 
-@router.get("/api/trail", response_model=TrailAnswer, responses=problems(422), summary="Who did what")
+@router.get("/api/trail", **answers(TrailAnswer, "Who did what", 422))
 def show_trail(
     context: Context,
     unit: str | None = None,
@@ -80,8 +75,4 @@ def show_trail(
         unit=unit, what=what or (), since=since, after=after, newest_first=newest_first, limit=limit
     )
     broken_at = context.store.trail.broken_link()
-    return {"entries": [_shown(one) for one in entries], "intact": broken_at is None, "broken_at": broken_at}
-
-
-def _shown(entry: Entry) -> dict[str, Any]:
-    return {**asdict(entry.act), "seq": entry.seq, "at": entry.at, "sha256": entry.sha256}
+    return {"entries": entries, "intact": broken_at is None, "broken_at": broken_at}

@@ -30,12 +30,13 @@ from calrig.analysis.unit_list import (
     listed_units,
     units_csv,
 )
-from calrig.api.access import Who, requires
+from calrig.api.access import Who
 from calrig.api.context import Context, KnownUnit
-from calrig.api.errors import no_room, problems, problems_in_json
+from calrig.api.errors import no_room
 from calrig.api.jobs import Heavy
 from calrig.api.measurements import prefers_csv
 from calrig.api.models import Body, RunAnswer
+from calrig.api.routes import BYTES, TEXT, answers
 from calrig.store.units import CalibrationItem, ItemField
 
 EVERY_RUN = 2**31
@@ -84,10 +85,7 @@ class ItemBody(Body):
 
 
 @router.get(
-    "/api/units/{serial:path}/item",
-    response_model=CalibrationItem,
-    responses=problems(404),
-    summary="The calibration item as received",
+    "/api/units/{serial:path}/item", **answers(CalibrationItem, "The calibration item as received", 404)
 )
 def show_item(unit: KnownUnit, context: Context) -> object:
     """What certificates of calibrations made from now on state of it."""
@@ -96,10 +94,7 @@ def show_item(unit: KnownUnit, context: Context) -> object:
 
 @router.put(
     "/api/units/{serial:path}/item",
-    dependencies=[requires("operator")],
-    response_model=CalibrationItem,
-    responses=problems(404, 413, 422),
-    summary="Set the calibration item as received",
+    **answers(CalibrationItem, "Set the calibration item as received", 404, 413, 422, role="operator"),
 )
 def put_item(unit: KnownUnit, body: ItemBody, context: Context, who: Who) -> object:
     """All of it at once. Certificates of runs before `received_at` keep what was said before."""
@@ -120,12 +115,7 @@ LOOK_S = 0.1
 
 @router.get(
     "/api/units/{serial:path}/archive",
-    response_class=Response,
-    responses={
-        200: {"content": {ZIP: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems_in_json(404, 429, 503),
-    },
-    summary="All that stands behind a unit's calibrations",
+    **answers(None, "All that stands behind a unit's calibrations", 404, 429, 503, sends={ZIP: BYTES}),
 )
 async def show_archive(unit: KnownUnit, heavy: Heavy) -> Response:
     """One zip with every revision, run, pose and sample, and the trail; `calrig verify` checks it.
@@ -177,9 +167,7 @@ CSV = "text/csv; charset=utf-8"
 
 @router.get(
     "/api/units",
-    response_model=list[ListedUnit],
-    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}, **problems(422)},
-    summary="Every unit, by serial number",
+    **answers(list[ListedUnit], "Every unit, by serial number", 422, sends={"text/csv": TEXT}),
 )
 def list_units(
     context: Context,
@@ -212,9 +200,7 @@ class UnitWithRuns(ListedUnit):
     active_run_id: str | None = Field(description="The run that the calibration in force is from.")
 
 
-@router.get(
-    "/api/units/{serial:path}", response_model=UnitWithRuns, responses=problems(404), summary="One unit"
-)
+@router.get("/api/units/{serial:path}", **answers(UnitWithRuns, "One unit", 404))
 def show_unit(unit: KnownUnit, context: Context) -> object:
     """With all its runs, newest first."""
     runs, _ = context.store.runs.page(unit=unit.serial, limit=EVERY_RUN)
@@ -230,10 +216,7 @@ def show_unit(unit: KnownUnit, context: Context) -> object:
 
 @router.delete(
     "/api/units/{serial:path}",
-    dependencies=[requires("releaser")],
-    status_code=204,
-    responses=problems(404, 409),
-    summary="Remove a unit that nothing is known of",
+    **answers(None, "Remove a unit that nothing is known of", 404, 409, role="releaser", status=204),
 )
 def remove_unit(serial: str, context: Context, who: Who) -> None:
     """As one is left whose runs were moved to their right serial number. 409 where it has runs."""

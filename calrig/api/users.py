@@ -7,9 +7,9 @@ from pydantic import Field
 
 from calrig.api.access import Who, requires
 from calrig.api.context import Context
-from calrig.api.errors import problems
 from calrig.api.login import Auth
 from calrig.api.models import Body
+from calrig.api.routes import answers
 from calrig.model.service import KnownUser, Role
 from calrig.store.users import NAME, User
 
@@ -36,19 +36,13 @@ class UserWithToken(KnownUser):
     token: str | None
 
 
-@router.get("/api/users", response_model=list[KnownUser], summary="All users")
+@router.get("/api/users", **answers(list[KnownUser], "All users"))
 def list_users(context: Context) -> list[User]:
     """By name, disabled users included."""
     return context.store.users.all()
 
 
-@router.post(
-    "/api/users",
-    status_code=201,
-    response_model=UserWithToken,
-    responses=problems(409, 413, 422),
-    summary="Add a user",
-)
+@router.post("/api/users", **answers(UserWithToken, "Add a user", 409, 413, 422, status=201))
 def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
     """The token is shown only here: the store keeps its hash. A disabled user is added again in this way."""
     user, token = context.store.users.add(body.name, body.role, with_token=body.token, who=who)
@@ -56,12 +50,7 @@ def add_user(body: NewUser, context: Context, auth: Auth, who: Who) -> object:
     return _with_token(user, token)
 
 
-@router.post(
-    "/api/users/{name}/token",
-    response_model=UserWithToken,
-    responses=problems(404, 409),
-    summary="Give a user a new token",
-)
+@router.post("/api/users/{name}/token", **answers(UserWithToken, "Give a user a new token", 404, 409))
 def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
     """The previous token and all logins made with it stop working."""
     user, token = context.store.users.new_token(name, who=who)
@@ -69,12 +58,7 @@ def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
     return _with_token(user, token)
 
 
-@router.post(
-    "/api/users/{name}/role",
-    response_model=KnownUser,
-    responses=problems(404, 409, 413, 422),
-    summary="Give a user another role",
-)
+@router.post("/api/users/{name}/role", **answers(KnownUser, "Give a user another role", 404, 409, 413, 422))
 def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -> object:
     """The role takes effect at once, also in sessions. The last admin keeps that role."""
     user = context.store.users.set_role(name, body.role, who=who)
@@ -82,12 +66,7 @@ def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -
     return user
 
 
-@router.post(
-    "/api/users/{name}/disable",
-    response_model=KnownUser,
-    responses=problems(404, 409),
-    summary="Disable a user",
-)
+@router.post("/api/users/{name}/disable", **answers(KnownUser, "Disable a user", 404, 409))
 def disable_user(name: str, context: Context, auth: Auth, who: Who) -> object:
     """Token and sessions stop working. Past actions keep the name; the last admin cannot be disabled."""
     user = context.store.users.disable(name, who=who)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.line import MIN_SCALE
+from calrig.calibration.line import follows_stage
 from calrig.calibration.packed_poses import Intp, PackedPoses
 from calrig.calibration.regression.responses import FEWEST_POSES
 from calrig.estimation.angles import MAD_TO_STD, FloatArray, wrap_deg
@@ -139,6 +139,7 @@ class Lines:
         given: the other columns of the poses by name, (R, n) each; `covariates` are those without physics.
         left_deg: (R, n) readings less the line.
         bias_deg, scale: (R,); NaN where all poses were commanded to one elevation, which tells no scale.
+        scale_std: (R,) its standard error under white noise, 0 without a scale.
         rms_deg: (R,) of what is left.
     """
 
@@ -148,13 +149,14 @@ class Lines:
     left_deg: FloatArray
     bias_deg: FloatArray
     scale: FloatArray
+    scale_std: FloatArray
     rms_deg: FloatArray
 
     @property
     def residual_deg(self) -> FloatArray:
         """(R, n) what is left in degrees of elevation; NaN where the reading does not follow the stage."""
         factor = np.where(np.isnan(self.scale), 1.0, self.scale)
-        factor = np.where(np.abs(factor) < MIN_SCALE, np.nan, factor)
+        factor = np.where(follows_stage(factor, self.scale_std), factor, np.nan)
         return np.asarray(self.left_deg / factor[:, None])
 
     @property
@@ -183,6 +185,9 @@ def lines_of(poses: PackedPoses, theta_deg: FloatArray, rows: Intp) -> Lines:
     turns = (np.ptp(given["target_deg"], axis=1) > 0.0) & (power > 0.0)
     slope = np.divide((off * error).sum(axis=1), power, out=np.zeros(len(power)), where=turns)
     left = error - level[:, None] - slope[:, None] * off
+    squares = (left * left).sum(axis=1)
+    freedom = max(theta.shape[1] - 2, 1)
+    variance = np.divide(squares / freedom, power, out=np.zeros(len(power)), where=turns)
     return Lines(
         theta_deg=theta,
         given=given,
@@ -190,7 +195,8 @@ def lines_of(poses: PackedPoses, theta_deg: FloatArray, rows: Intp) -> Lines:
         left_deg=left,
         bias_deg=np.asarray(wrap_deg(level - slope * centre)),
         scale=np.where(turns, 1.0 + slope, np.nan),
-        rms_deg=np.sqrt((left * left).mean(axis=1)),
+        scale_std=np.sqrt(variance),
+        rms_deg=np.sqrt(squares / theta.shape[1]),
     )
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.correlated_errors import covariance_over_correlations
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -43,16 +44,20 @@ class Line:
     @property
     def follows(self) -> bool:
         """Whether the reading follows the stage, so that errors of readings are errors of an elevation."""
-        if self.scale is None:
-            return True
-        may_be_noise = abs(self.scale) < min(HALF, STDS * (self.scale_std or 0.0))
-        return abs(self.scale) >= MIN_SCALE and not may_be_noise
+        return self.scale is None or bool(follows_stage(self.scale, self.scale_std or 0.0))
 
     def left_deg(self, theta_deg: FloatArray, reading_deg: FloatArray) -> FloatArray:
         """(n,) `residuals_deg` of readings; NaN throughout where they do not follow the stage."""
         if not self.follows:
             return np.full(len(theta_deg), math.nan)
         return residuals_deg(theta_deg, reading_deg, self.bias_deg, self.scale)
+
+
+def follows_stage(scale: npt.ArrayLike, scale_std: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Whether readings of these fitted scales follow the stage: more than noise may have made."""
+    size = np.abs(scale)
+    may_be_noise = size < np.minimum(HALF, np.multiply(STDS, scale_std))
+    return np.asarray((size >= MIN_SCALE) & ~may_be_noise)
 
 
 def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False) -> Line:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,11 +87,8 @@ def packed(runs: Mapping[str, Sequence[Pose]]) -> PackedPoses:
     rows = [pose.row() for poses in runs.values() for pose in poses]
     counts = [len(poses) for poses in runs.values()]
     names = dict.fromkeys(name for row in rows for name in row)
-    columns = {name: _numbers(row.get(name) for row in rows) for name in names}
+    # None becomes NaN
+    columns = {name: np.array([row.get(name) for row in rows], dtype=np.float64) for name in names}
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
     unknown = (None,) * len(runs)
     return PackedPoses(tuple(runs), first, columns, unknown, unknown)
-
-
-def _numbers(values: Iterable[float | None]) -> FloatArray:
-    return np.array(list(values), dtype=np.float64)  # None becomes NaN

@@ -23,7 +23,6 @@ from calrig.calibration.gravity_fit import (
     undetermined_base,
 )
 from calrig.calibration.static_segments import (
-    BoolArray,
     GravityError,
     Span,
     StaticPoses,
@@ -32,8 +31,6 @@ from calrig.calibration.static_segments import (
     quiet_spans,
 )
 from calrig.estimation.angles import FloatArray
-
-__all__ = ["BoolArray", "GravityError", "StaticPoses", "outlier_limit", "static_poses"]
 
 WINDOW_S = 1.0
 SHORTEST_S = 1.5

@@ -12,25 +12,23 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from types import MappingProxyType
 
 from calrig.analysis.calibration_in_force import active_calibration
 from calrig.analysis.errors import Conflict, RunsError, Unknown
-from calrig.analysis.imports import check_serial
 from calrig.analysis.results import ending_of, fitted, gyro_of
 from calrig.analysis.revisions import Fitted, Issuer
 from calrig.analysis.stored_runs import stored_run
-from calrig.centre.bench_rigs import BenchCounts, BenchRig, BenchRigs
+from calrig.centre.bench_rigs import BenchCounts, BenchRigs
 from calrig.instruments.clock import WALL, Clock
-from calrig.model.plan import MountAxis, Plan
+from calrig.model.plan import MountAxis
 from calrig.model.run import AT_REST, TERMINAL, UNFINISHED
 from calrig.model.service import RigState
-from calrig.runs.assignment import NewRun, order_part, rig_followed_up_on
-from calrig.runs.follow_up import Designed, FollowUpQuestion
+from calrig.runs.assignment import NewRun, order_part
 from calrig.runs.plan_estimates import planned_poses, require_reachable
 from calrig.runs.presence import BoardCheck
 from calrig.runs.recorder import Bus, ServiceMetrics
 from calrig.runs.rig import check_stage_at
+from calrig.runs.services import Service
 from calrig.runs.single_flight import SharedTask, SingleFlight
 from calrig.runs.stopping import STOPPED
 from calrig.settings import RigSettings
@@ -38,7 +36,6 @@ from calrig.store import Run, StoredPose, StoreError
 from calrig.store.benches import Bench, Kind
 from calrig.store.postgresql.listening import Listening
 from calrig.store.postgresql.set_up import ANSWERS, EVENTS, PARCELS
-from calrig.store.records import Document
 from calrig.store.store import Store
 from calrig.store.trail import Act, What
 from calrig.store.unpacking import Conclude, Conclusion, Kept
@@ -208,17 +205,17 @@ ENDS_S = 2.0
 """How long an abort waits, once the stage stands, for the run's end to be delivered."""
 
 
-class CentreService:
+class CentreService(Service):
     """What `calrig.runs.service.RunService` is on one machine. Thread-safe; any number over one database.
+
+    It has no `maps`: a file that a bench names is the bench's, which goes by it where the centre has put none
+    in force.
 
     Args:
         store: of the centre.
         url: of that store, for a connection that hears of news.
         clock: by which answers of benches are waited for.
     """
-
-    maps: Mapping[str, Document] = MappingProxyType({})
-    """A file that a bench names is the bench's: it goes by it where the centre has put none in force."""
 
     def __init__(self, store: Store, url: str, clock: Clock = WALL) -> None:
         self.store = store
@@ -253,45 +250,17 @@ class CentreService:
         """Every rig of every bench, as it last said that it stands."""
         return self._rigs.states()
 
-    def start(
-        self,
-        *,
-        unit: str,
-        plan: Plan,
-        rig: str | None = None,
-        operator: str | None = None,
-        note: str | None = None,
-        stage_at_deg: float | None = None,
-        queue: bool = False,
-    ) -> Run:
+    def start_on(self, rig: str | None, wanted: NewRun, *, waits: bool = False) -> Run:
         """Orders a run of the bench that has a rig (the first there is where none is named).
 
-        With `queue` it waits where the rig is busy or its bench away; other arguments as of `RunService`.
+        With `waits` it waits where the rig is busy or its bench away.
 
         Raises:
-            Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.
             Unknown: no bench has such a rig.
             Conflict: its bench is away.
             Refused: the rig is busy.
         """
-        check_serial(unit)
-        wanted = NewRun(
-            unit=unit, plan=plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
-        )
-        return self._order(self._rigs.known(rig), wanted, waits=queue)
-
-    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
-        """As `RunService.follow_up_question`."""
-        run = stored_run(self.store, run_id)
-        limits_deg = self._rigs.known(rig_followed_up_on(run)).settings.limits_deg
-        return FollowUpQuestion.of(self.store, run, limits_deg)
-
-    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
-        """As `RunService.follow_up`."""
-        on = self._rigs.known(rig_followed_up_on(asked.last))
-        return self._order(on, NewRun.following(asked, found, who))
-
-    def _order(self, on: BenchRig, wanted: NewRun, *, waits: bool = False) -> Run:
+        on = self._rigs.known(rig)
         planned = planned_poses(wanted.plan, on.settings)
         wanted = wanted.as_of_now(self.store, on.settings.name, self.maps)
         in_force = wanted.origin.get("stage_map")
@@ -326,10 +295,11 @@ class CentreService:
 
     def begin_abort(self, run_id: str, who: str | None = None) -> SharedTask[Run]:
         """As `abort`, in a thread of its own, which all share who ask for it meanwhile."""
-        return self._errands.share(("abort", run_id), self._clock, partial(self._abort, run_id, who))
-
-    def _abort(self, run_id: str, who: str | None) -> Run:
-        return self._entered("aborted", self._abort_by_bench(run_id), who)
+        return self._errands.share(
+            ("abort", run_id),
+            self._clock,
+            lambda: self._entered("aborted", self._abort_by_bench(run_id), who),
+        )
 
     def _entered(self, what: What, run: Run, who: str | None) -> Run:
         """Enter in the trail what a bench was asked for and did; a store in trouble undoes nothing of it."""
@@ -346,7 +316,8 @@ class CentreService:
         self.store.orders.withdraw(run_id)
         order = self.store.orders.of(run_id)
         if order is None:
-            return self._abort_of_nobody(run)
+            # no bench of this centre has it: it was moved here from another store
+            return self.store.runs.update(run.id, status="aborted")
         if order.taken_epoch == 0:  # no bench had begun it
             self.store.orders.settle_withdrawn(None)
             return self.run(run_id)
@@ -358,21 +329,15 @@ class CentreService:
             self._settle_withdrawn(None)
         return self.wait(run_id, ENDS_S)
 
-    def _abort_of_nobody(self, run: Run) -> Run:
-        """Ends a run that no bench of this centre has: it was moved here from another store."""
-        return self.store.runs.update(run.id, status="aborted")
-
-    def stop(self, rig_name: str) -> RigState:
+    def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
         """Has every bench with such a rig stop its stage now, whatever runs; what waits there is aborted.
 
-        Raises:
-            Unknown: there is no such rig.
-            Conflict: a bench cannot be told, or a stage is not known to stand.
-        """
-        return self.begin_stop(rig_name).result()
+        In a thread of its own, which all share who ask for it meanwhile.
 
-    def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
-        """As `stop`, in a thread of its own, which all share who ask for it meanwhile."""
+        Raises:
+            Unknown: as the task's result; there is no such rig.
+            Conflict: likewise; a bench cannot be told, or a stage is not known to stand.
+        """
         return self._errands.share(("stop", rig_name), self._clock, partial(self._stop, rig_name, who))
 
     def _stop(self, rig_name: str, who: str | None) -> RigState:

@@ -15,7 +15,7 @@ import typer
 
 from calrig.cli.exit_status import Listed
 from calrig.cli.options import Config, Db, Json, Server
-from calrig.cli.running_service import client_at
+from calrig.cli.running_service import client_at, open_store
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -70,10 +70,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
 
         benches = each(Membership, client_at(server).get("/api/benches"))
     else:
-        from calrig.settings import store_url
-        from calrig.store import Store
-
-        with Store.open(store_url(db), writer=None) as store:
+        with open_store(db) as store:
             benches = store.enrolment.benches()
     if as_json:
         print_json([bench.model_dump(mode="json") for bench in benches])
@@ -84,14 +81,12 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
 @contextmanager
 def _writing(db: str | None) -> Iterator[Store]:
     from calrig.settings import store_url
-    from calrig.store import Store
     from calrig.store.engines import is_centre
     from calrig.store.enrolment import NO_CENTRE
 
-    url = store_url(db)
-    if not is_centre(url):  # which opening would make, where there is none
+    if not is_centre(store_url(db)):  # which opening would make, where there is none
         raise InputError(NO_CENTRE)
-    with Store.open(url, writer="bench") as store:
+    with open_store(db, writer="bench") as store:
         yield store
 
 

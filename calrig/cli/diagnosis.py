@@ -11,7 +11,7 @@ import typer
 from calrig.cli import options
 from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Plot, Rate, Server, whole_id
-from calrig.cli.running_service import running_service, whole_id_there
+from calrig.cli.running_service import open_store, running_service, whole_id_there
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -169,10 +169,9 @@ def _of_runs(
 
     from calrig.analysis.diagnoses import Diagnoses
     from calrig.analysis.stored_runs import counted_poses, request_of, runs_together, stored_run
-    from calrig.settings import load_settings, store_url
-    from calrig.store import Store
+    from calrig.settings import load_settings
 
-    with Store.open(store_url(db), writer=None) as store:
+    with open_store(db) as store:
         *more, last = (whole_id(store, typed) for typed in run_ids)
         run = stored_run(store, last)
         rigs = [] if run.rig is None else load_settings().rig

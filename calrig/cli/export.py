@@ -16,7 +16,7 @@ import typer
 from calrig.cli import options
 from calrig.cli.options import SHORTENED, Db, Server, whole_id
 from calrig.cli.progress import late_bar
-from calrig.cli.running_service import is_named, running_service, whole_id_there
+from calrig.cli.running_service import is_named, open_store, running_service, whole_id_there
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -165,10 +165,7 @@ def _export_text(
         sys.stdout.write(text)
         return
 
-    from calrig.settings import store_url
-    from calrig.store import Store
-
-    with Store.open(store_url(db), writer=None) as store:
+    with open_store(db) as store:
         sys.stdout.write(_text(store, run_id and whole_id(store, run_id), unit, format_, table))
 
 
@@ -193,10 +190,7 @@ def _export_certificate(
         _put(there.certificate(of_unit, form, found.revision), out)
         return
 
-    from calrig.settings import store_url
-    from calrig.store import Store
-
-    with Store.open(store_url(db), writer=None) as store:
+    with open_store(db) as store:
         kept = _revision_asked_for(store, run_id and whole_id(store, run_id), unit)
         _say_which(kept.unit, kept.revision, kept.status, kept.verdict["says"])
         _put(_certificate_of(store, kept, form, *signing), out)
@@ -368,10 +362,8 @@ def _export_archive(there: Client | None, unit: str | None, out: Path | None, db
             size = there.archive(unit, out)
         else:
             from calrig.analysis.certificates import archive_of
-            from calrig.settings import store_url
-            from calrig.store import Store
 
-            with Store.open(store_url(db), writer=None) as store:
+            with open_store(db) as store:
                 size = write_new(out, archive_of(store, unit))
     typer.echo(f"{out}: {size / 1e6:.1f} MB" if size >= 1e6 else f"{out}: {size / 1e3:.1f} kB")
 
@@ -379,10 +371,8 @@ def _export_archive(there: Client | None, unit: str | None, out: Path | None, db
 def _export_all(folder: Path, db: str | None) -> None:
     """Writes the poses of all completed runs of a store as Parquet files."""
     from calrig.export.poses_parquet import write_poses
-    from calrig.settings import store_url
-    from calrig.store import Store
 
-    with Store.open(store_url(db), writer=None) as store, late_bar("exporting") as show:
+    with open_store(db) as store, late_bar("exporting") as show:
         runs = [run for part in store.fleet.completed_runs() for run in part]
         n_poses = 0
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calrig.cli.options import Db, Json
+from calrig.cli.running_service import open_store
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
@@ -42,11 +43,9 @@ def fleet(
     from calrig.analysis.fleet import reanalyse
     from calrig.cli import output
     from calrig.cli.progress import late_bar
-    from calrig.settings import store_url
-    from calrig.store import Store
 
-    with _opened(store_url(db), writes=out is None) as store:
-        kept_in = nullcontext(store) if out is None else Store.open(store_url(out), writer="fleet")
+    with _opened(db, writes=out is None) as store:
+        kept_in = nullcontext(store) if out is None else open_store(out, writer="fleet")
         with kept_in as results:
             found = reanalyse(store, results, partial(_workers, scheduler), late_bar, poses)
     if as_json:
@@ -55,12 +54,11 @@ def fleet(
         output.print_fleet(found)
 
 
-def _opened(url: str, *, writes: bool) -> Store:
-    from calrig.store import Store
+def _opened(db: str | None, *, writes: bool) -> Store:
     from calrig.store.errors import Taken
 
     try:
-        return Store.open(url, writer="fleet" if writes else None)
+        return open_store(db, writer="fleet" if writes else None)
     except Taken as error:
         raise WorkError(f"{error}, or keep what is found elsewhere with --out FILE") from error
 

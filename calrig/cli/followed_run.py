@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from calrig.client import Client, Run, RunEvent
+
+QUEUE_LOOK_S = 3.0
+"""How often a run that waits for its bench is looked at: no event tells why the bench does not take it."""
 
 
 class FollowedRun:
@@ -37,6 +41,8 @@ class FollowedRun:
         self.progress = record.progress
         self.has_clamp = any(rig.clamp for rig in client.rigs() if rig.name == record.rig)
         self._client, self._run, self._rig = client, run, record.rig
+        self._waits_why: str | None = None
+        self._looked_at_s = time.monotonic()
         self._heard: SimpleQueue[RunEvent | Notice | Exception | None] = SimpleQueue()
         # A daemon: a line that has nothing to tell keeps nobody from leaving.
         threading.Thread(target=self._listen, name=f"events of {run.id}", daemon=True).start()
@@ -56,8 +62,17 @@ class FollowedRun:
                 events.append(heard)
                 heard = self._heard.get_nowait()
         except Empty:
-            pass
+            if self.status == "queued" and time.monotonic() - self._looked_at_s > QUEUE_LOOK_S:
+                events += self._why_it_waits()
         return events
+
+    def _why_it_waits(self) -> Sequence[Notice]:
+        """What keeps it from beginning, where that is another reason than was told."""
+        self._looked_at_s = time.monotonic()
+        before = self._waits_why
+        with suppress(Unreachable):  # told by who listens for events
+            self._waits_why = self._run.look().error
+        return [Notice(self._waits_why)] if self._waits_why not in (None, before) else []
 
     def abort(self) -> None:
         """Ends it; Refusal where it has just ended, or its stage was not seen to stand."""
@@ -88,14 +103,13 @@ class FollowedRun:
 
     def _listen(self) -> None:
         try:
-            for event in self._run.events(away=self._say_away):
+            for event in self._run.events(
+                away=lambda why: self._heard.put(Notice(f"{why}; it is waited for, two minutes at most"))
+            ):
                 self._heard.put(event)
             self._heard.put(None)
         except ServiceError as error:
             self._heard.put(error)
-
-    def _say_away(self, error: ServiceError) -> None:
-        self._heard.put(Notice(f"{error}; it is waited for, two minutes at most"))
 
     def _take(self, event: RunEvent | Notice) -> None:
         if event.type == "state":

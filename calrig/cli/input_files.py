@@ -48,7 +48,8 @@ def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
 
 def read_poses_file(file: Path) -> tuple[list[Pose], list[str]]:
     """Poses of one unit about its x, to be diagnosed, and what is to be said of them."""
-    from calrig.export.poses_csv import CsvError, read_about_x
+    from calrig.export.csv_errors import CsvError
+    from calrig.export.poses_csv import read_about_x
 
     try:
         return read_about_x(read_bytes(file))
@@ -81,28 +82,21 @@ def read_plan_file(file: Path) -> Plan:
     """A plan as JSON, or what `calrig plan --json` says of one; a mistake is told by line and column."""
     from pydantic import ValidationError
 
+    from calrig.canonical_json import json_of_file
     from calrig.invalid_fields import path_of, reason
     from calrig.model.plan import Plan
 
+    content = read_bytes(file, LARGEST_PLAN)
+    document = json_of_file(content, str(file), "a plan")
+    is_design = isinstance(document, dict) and {"plan", "expected"} <= document.keys()
     try:
-        text = read_bytes(file, LARGEST_PLAN).decode("utf-8-sig")
-        document = json.loads(text)
-        is_design = isinstance(document, dict) and {"plan", "expected"} <= document.keys()
         return Plan.model_validate(document["plan"] if is_design else document)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: is not UTF-8 text (byte {error.start})") from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"{file}, line {error.lineno}, column {error.colno}: {error.msg}") from error
-    except RecursionError as error:
-        raise InputError(f"{file}: is nested too deeply for a plan") from error
     except ValidationError as error:
         problem = error.errors()[0]
         if not problem["loc"]:
             raise InputError(f"{file}: {reason(problem)}") from error
-        where = _place_of_key(text, str(problem["loc"][0]))
+        where = _place_of_key(content.decode("utf-8-sig"), str(problem["loc"][0]))
         raise InputError(f"{file}{where}: {path_of(problem)} {reason(problem)}") from error
-    except ValueError as error:  # Python reads no whole number of more than 4300 digits
-        raise InputError(f"{file}: has a number in it of more digits than can be read") from error
 
 
 def _place_of_key(text: str, key: str) -> str:

@@ -11,7 +11,7 @@ import typer
 from calrig.cli import options
 from calrig.cli.input_files import names_a_file, read_log_file
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, GyroRange, Json, Plot, Rate, whole_id
-from calrig.cli.running_service import NAMED, running_service, whole_id_there
+from calrig.cli.running_service import NAMED, open_store, running_service, whole_id_there
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
@@ -163,10 +163,8 @@ def _filters_of_file(file: Path, given: _Recorded) -> Found:
 def _filters_of_run(run_id: str, db: str | None) -> Found:
     from calrig.analysis.noise_studies import filters_of_run
     from calrig.cli.progress import late_bar
-    from calrig.settings import store_url
-    from calrig.store import Store
 
-    with Store.open(store_url(db), writer=None) as store, late_bar("comparing filters"):
+    with open_store(db) as store, late_bar("comparing filters"):
         return _of_study(filters_of_run(store, whole_id(store, run_id)), ())
 
 

@@ -12,7 +12,7 @@ import typer
 from calrig.cli import options
 from calrig.cli.input_files import read_plan_file
 from calrig.cli.options import Config, Db, Json, Rig, Server
-from calrig.cli.running_service import running_service
+from calrig.cli.running_service import open_store, running_service
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -118,8 +118,7 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> PlanDes
     from calrig.client import PlanDesign
     from calrig.model.plan import Until
     from calrig.runs.plan_designs import DesignRequest, answer, question
-    from calrig.settings import load_settings, store_url
-    from calrig.store import Store
+    from calrig.settings import load_settings
     from calrig.store.errors import NoStore
 
     settings = load_settings(config)
@@ -131,7 +130,7 @@ def _designed_here(asked: _Asked, db: str | None, config: str | None) -> PlanDes
     with ExitStack() as stack:
         store = None
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
-            store = stack.enter_context(Store.open(store_url(db), writer=None))
+            store = stack.enter_context(open_store(db))
         try:
             known = question(wanted, asked.kept, chosen, asked.unit, store, configured_maps(settings))
             with late_bar(DOING) as show:

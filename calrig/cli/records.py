@@ -11,7 +11,7 @@ import typer
 from calrig.cli import options
 from calrig.cli.input_files import in_utf8, read_bytes
 from calrig.cli.options import COLUMNS, Db, Json, Server, UnitSerial
-from calrig.cli.running_service import running_service
+from calrig.cli.running_service import open_store, running_service
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -87,12 +87,11 @@ def import_(
     from calrig.analysis.revisions import Issuer, Releases
     from calrig.cli.output import print_says
     from calrig.cli.progress import late_bar
-    from calrig.settings import load_settings, store_url
-    from calrig.store import Store
+    from calrig.settings import load_settings
 
     content = read_bytes(file)
     name = in_utf8(file.name)
-    with Store.open(store_url(db), writer="import") as store:
+    with open_store(db, writer="import") as store:
         settings = load_settings()
         keep_configured(settings, store)
         issuer = Issuer(store, Releases.of(settings.rig))
@@ -169,9 +168,6 @@ def backup(
 
 def _enter_backup(made: BackedUp, db: str | None) -> None:
     """Enter a backup in the audit log, by the service that holds the store if there is one."""
-    from calrig.settings import store_url
-    from calrig.store import Store
-
     if made.trail_sha256 is None:
         return
     if (there := running_service(None, db)) is not None:
@@ -179,7 +175,7 @@ def _enter_backup(made: BackedUp, db: str | None) -> None:
         return
     if not made.is_current:  # opened for writing it would be migrated
         raise WorkError("an older calrig wrote this store; `calrig serve` brings it up to date")
-    with Store.open(store_url(db), writer="backup") as store:
+    with open_store(db, writer="backup") as store:
         store.trail.add_backup(made.trail_seq, made.trail_sha256)
 
 

@@ -11,7 +11,7 @@ import typer
 
 from calrig.cli.input_files import read_plan_file
 from calrig.cli.options import Config, Db, Json, Record, Rig, Server, StageAt, UnitSerial, whole_id
-from calrig.cli.running_service import running_service, whole_id_there
+from calrig.cli.running_service import open_store, running_service, whole_id_there
 from calrig.cli.watch import RunId
 from calrig.errors import InputError
 
@@ -128,11 +128,10 @@ def _local_client(
     """A client of this process with the rig of a run."""
     from calrig.analysis.stored_runs import stored_run
     from calrig.cli.local_service import local_client
-    from calrig.settings import load_settings, store_url
-    from calrig.store import Store
+    from calrig.settings import load_settings
 
-    url, settings = store_url(db), load_settings(config)
-    with Store.open(url, writer=None) as store:
+    settings = load_settings(config)
+    with open_store(db) as store:
         run = stored_run(store, whole_id(store, run_id))
     rigs = () if run.rig is None else (rig_named(settings, run.rig),)  # an imported one is refused in words
-    return local_client(url, "resume", rigs, settings, record)
+    return local_client(store.url, "resume", rigs, settings, record)

@@ -1,4 +1,7 @@
-"""Which running service a command speaks to: the one that is named, else the one that holds the store."""
+"""Which running service a command speaks to: the one that is named, else the one that holds the store.
+
+Where none does, the command opens the store itself.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from calrig.run_ids import begins_uuid, is_uuid
 
 if TYPE_CHECKING:
     from calrig.client import Client
+    from calrig.store import Store
 
 NAMED = "CALRIG_SERVER"
 
@@ -55,3 +59,11 @@ def client_at(address: str) -> Client:
     from calrig.client import Client
 
     return Client(address)
+
+
+def open_store(db: str | None, writer: str | None = None) -> Store:
+    """The store of `--db`: opened for reading, or by the command that writes."""
+    from calrig.settings import store_url
+    from calrig.store import Store
+
+    return Store.open(store_url(db), writer=writer)

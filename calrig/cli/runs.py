@@ -11,7 +11,7 @@ import typer
 
 from calrig.cli import options
 from calrig.cli.options import Db, Json, Server
-from calrig.cli.running_service import running_service
+from calrig.cli.running_service import open_store, running_service
 from calrig.errors import InputError
 from calrig.run_ids import FEWEST
 
@@ -90,10 +90,7 @@ def runs(
     if there is not None:
         found, next_cursor = _searched(partial(_page_there, there), given, limit, cursor)
     else:
-        from calrig.settings import store_url
-        from calrig.store import Store
-
-        with Store.open(store_url(db), writer=None) as store:
+        with open_store(db) as store:
             found, next_cursor = _searched(partial(_page_here, store), given, limit, cursor)
     if as_json:
         print_json({"items": found, "next_cursor": next_cursor})

@@ -15,14 +15,14 @@ from calrig.cli.input_files import names_a_file, read_bytes
 from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server, whole_id
 from calrig.cli.output import number, print_line, print_parameter, print_table, print_warnings
 from calrig.cli.progress import late_bar
-from calrig.cli.running_service import running_service, whole_id_there
+from calrig.cli.running_service import open_store, running_service, whole_id_there
 from calrig.errors import InputError, WorkError
 from calrig.estimation.angle_text import angle_text
 
 if TYPE_CHECKING:
     from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.calibration.separation import MountedPoses
-    from calrig.client import Client, RunRecord
+    from calrig.client import Client
     from calrig.model.solution import Frame, SolutionDocument, SolvedUnit, SolvedValue
     from calrig.store.solved import Solved
 
@@ -172,10 +172,8 @@ def _of_runs(wanted: SolutionRequest, db: str | None) -> SolutionInputs:
     from dataclasses import replace
 
     from calrig.analysis.solutions import question
-    from calrig.settings import store_url
-    from calrig.store import Store
 
-    with Store.open(store_url(db), writer=None) as store:
+    with open_store(db) as store:
         return question(store, replace(wanted, runs=[whole_id(store, typed) for typed in wanted.runs]))
 
 
@@ -192,7 +190,8 @@ def _of_files(files: Sequence[str], units: Sequence[str]) -> tuple[list[MountedP
 
 
 def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[str]]:
-    from calrig.export.poses_csv import CsvError, read_mounted
+    from calrig.export.csv_errors import CsvError
+    from calrig.export.poses_csv import read_mounted
 
     try:
         lots, said = read_mounted(read_bytes(file), str(file), serial)
@@ -350,10 +349,12 @@ def _solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, 
 
     `with_files` adds calibrations and stage map, `with_poses` the pose residuals.
     """
+    from calrig.model.run import mount_axis
     from calrig.store.solved import Solved
 
     runs = [whole_id_there(client, typed) for typed in wanted.runs]
-    if with_poses and any(_axis(client.run(run_id).record)[-1] != "x" for run_id in runs):
+    records = (client.run(run_id).record for run_id in runs)
+    if with_poses and any(mount_axis(one.plan, one.provenance)[-1] != "x" for one in records):
         raise InputError(NOT_DRAWN)
     with late_bar("solving") as show:
         found = client.solve(
@@ -380,8 +381,3 @@ def _solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, 
         stage_map=client.get(f"{path}/map") if with_files else {},
         poses=client.get(f"{path}/poses") if with_poses else {},
     )
-
-
-def _axis(run: RunRecord) -> str:
-    """Which of the unit's axes lay along the stage's."""
-    return str((run.plan or run.provenance).get("mount_axis", "x"))

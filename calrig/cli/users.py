@@ -10,7 +10,7 @@ import typer
 
 from calrig.cli.exit_status import ASK_IT, Listed
 from calrig.cli.options import Db, Json, Server
-from calrig.cli.running_service import client_at
+from calrig.cli.running_service import client_at, open_store
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
@@ -116,10 +116,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
 
         users = each(KnownUser, client_at(server).get("/api/users"))
     else:
-        from calrig.settings import store_url
-        from calrig.store import Store
-
-        with Store.open(store_url(db), writer=None) as store:
+        with open_store(db) as store:
             users = [KnownUser.model_validate(user) for user in store.users.all()]
     if as_json:
         print_json([user.model_dump(mode="json") for user in users])
@@ -128,12 +125,10 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
 
 
 def _store(db: str | None) -> Store:
-    from calrig.settings import store_url
-    from calrig.store import Store
     from calrig.store.errors import Taken
 
     try:
-        return Store.open(store_url(db), writer="users")
+        return open_store(db, writer="users")
     except Taken as error:
         raise WorkError(f"{error}{ASK_IT}") from error
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calrig.cli.options import Json
+from calrig.cli.running_service import open_store
 from calrig.errors import InputError, printable
 
 if TYPE_CHECKING:
@@ -62,10 +63,8 @@ def _is_store(file: Path) -> bool:
 
 def _check_backup(file: Path) -> Checked:
     from calrig.export.archive.check import Checked
-    from calrig.settings import store_url
-    from calrig.store import Store
 
-    with Store.open(store_url(str(file)), writer=None) as backup:
+    with open_store(str(file)) as backup:
         (seq, sha256), broken_at = backup.trail.head(), backup.trail.broken_link()
     trail = {"entries": seq, "head": {"seq": seq, "sha256": sha256} if seq else None, "broken_at": broken_at}
     problems = [] if broken_at is None else [("audit log", f"is broken at entry {broken_at}")]
@@ -74,11 +73,8 @@ def _check_backup(file: Path) -> Checked:
 
 def _missing_in_store(db: str, head: Mapping[str, Any] | None) -> list[Problem]:
     """What is wrong with a store's audit log: it must go on from an entry of before."""
-    from calrig.settings import store_url
-    from calrig.store import Store
-
     where = f"audit log of {db}"
-    with Store.open(store_url(db), writer=None) as store:
+    with open_store(db) as store:
         broken_at = store.trail.broken_link()
         problems = [] if broken_at is None else [(where, f"is broken at entry {broken_at}")]
         if head is not None and not store.trail.holds(head["seq"], head["sha256"]):

@@ -11,7 +11,7 @@ import typer
 from calrig.cli import options
 from calrig.cli.options import SHORTENED, Db, Json, Server, whole_id
 from calrig.cli.progress import LOOK_S
-from calrig.cli.running_service import running_service, whole_id_there
+from calrig.cli.running_service import open_store, running_service, whole_id_there
 from calrig.errors import WorkError
 
 if TYPE_CHECKING:
@@ -35,13 +35,10 @@ def watch(run_id: RunId, as_json: Json = False, db: Db = None, server: Server = 
         return
 
     from calrig.analysis.stored_runs import stored_run
-    from calrig.settings import store_url
-    from calrig.store import Store
 
-    url = store_url(db)
-    with Store.open(url, writer=None) as store:
+    with open_store(db) as store:
         run = stored_run(store, whole_id(store, run_id))
-        is_written = _is_written(url)
+        is_written = _is_written(store.url)
         _watch(RunElsewhere(store, run, is_written), run.unit, as_json=as_json)
 
 

@@ -5,7 +5,6 @@ A document that is read from a file or a service is refused unless it is as it w
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from calrig.calibration.poses import Pose, of_first_mount
 from calrig.calibration.results import FittedResult, readings_wrap
 from calrig.calibration.separation import in_words
 from calrig.calibration.uncertainty import reference_figures, uncertainty
-from calrig.canonical_json import sha256_of
+from calrig.canonical_json import json_of_file, sha256_of
 from calrig.errors import InputError
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.model.result import Reference
@@ -72,16 +71,7 @@ def _from_file(file: Path) -> Any:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
     if len(content) > LARGEST:
         raise InputError(f"{file}: has more than {LARGEST} bytes, and no calibration has")
-    try:
-        return json.loads(content.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: is not UTF-8 text (byte {error.start})") from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"{file}, line {error.lineno}, column {error.colno}: {error.msg}") from error
-    except RecursionError as error:
-        raise InputError(f"{file}: is nested too deeply for a calibration") from error
-    except ValueError as error:  # Python reads no whole number of more than 4300 digits
-        raise InputError(f"{file}: has a number in it of more digits than can be read") from error
+    return json_of_file(content, str(file), "a calibration")
 
 
 def _from_service(address: str) -> Any:

@@ -17,20 +17,6 @@ from calrig.export.csv_errors import CsvError, CsvReport
 from calrig.export.csv_table import Cells, for_spreadsheet, from_spreadsheet, read_tables
 from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
 
-__all__ = [
-    "CsvError",
-    "FileReference",
-    "ImportedPoses",
-    "PoseColumns",
-    "Texts",
-    "read_labelled_columns",
-    "read_labelled_poses",
-    "read_pose_columns",
-    "read_poses",
-    "write_pose_batches",
-    "write_poses",
-]
-
 MAX_COUNT = 2**53
 """The largest whole number that a float holds exactly."""
 

@@ -9,20 +9,3 @@ from calrig.figures.diagnosis import before_and_after, error_map, partial_residu
 from calrig.figures.history import Run, compare, control_chart, history
 from calrig.figures.parts import PALETTE, Figure
 from calrig.figures.runs import MAX_POINTS, Curve, residual, residuals_overlaid, timeline
-
-__all__ = [
-    "MAX_POINTS",
-    "PALETTE",
-    "Curve",
-    "Figure",
-    "Run",
-    "before_and_after",
-    "compare",
-    "control_chart",
-    "error_map",
-    "history",
-    "partial_residual",
-    "residual",
-    "residuals_overlaid",
-    "timeline",
-]

@@ -182,19 +182,12 @@ def error_map(
     for sense, (name, symbol, colour) in APPROACHES.items():
         rows = [k for k, a in enumerate(approach) if a == sense]
         if rows:
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines+markers",
-                    "name": name,
-                    "x": [stage_deg[k] for k in rows],
-                    "y": [error_deg[k] for k in rows],
-                    "error_y": error_bars([std_deg[k] for k in rows], colour),
-                    "line": {"color": colour, "width": 1.5},
-                    "marker": {"color": colour, "symbol": symbol, "size": 7},
-                    "hovertemplate": "%{x:.0f}°: %{y:.4f}°",
-                }
-            )
+            x, y = [stage_deg[k] for k in rows], [error_deg[k] for k in rows]
+            trace = line_of(name, x, y, colour, "%{x:.0f}°: %{y:.4f}°")
+            trace["line"]["width"] = 1.5
+            marker = {"color": colour, "symbol": symbol, "size": 7}
+            errors = error_bars([std_deg[k] for k in rows], colour)
+            data.append({**trace, "mode": "lines+markers", "marker": marker, "error_y": errors})
     return {"data": data, "layout": layout}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from html import escape
 from typing import Any
 
 Figure = dict[str, Any]
@@ -64,7 +65,7 @@ def error_bars(std: Sequence[float | None], colour: str) -> dict[str, Any]:
 
 def as_text(name: str) -> str:
     """Return a name as plain text: plotly reads a few HTML tags and entities in the names of traces."""
-    return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return escape(name, quote=False)
 
 
 def colour_of(k: int) -> str:

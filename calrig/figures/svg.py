@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import unescape
 from typing import Any
 from xml.sax.saxutils import escape
 
-from calrig.figures.parts import APPROACHES, GREY, Figure, as_text, axis_of, layout_of
+from calrig.figures.parts import APPROACHES, GREY, Figure, as_text, axis_of, layout_of, points_of
 
 FONT = "font-family='Libertinus Serif, DejaVu Serif, serif' font-size='11'"
 INK = "#24292f"
@@ -24,7 +25,6 @@ MARKS = {
     "triangle-down": ((0.0, 1.1), (1.0, -0.7), (-1.0, -0.7)),
 }
 """Corners, in radii."""
-_PLAIN = ("&lt;", "<"), ("&gt;", ">"), ("&amp;", "&")
 
 
 def svg_of(figure: Figure) -> str:
@@ -91,13 +91,13 @@ def _annotations(notes: Iterable[Mapping[str, Any]], frame: _Frame) -> Iterator[
     left, right, top, bottom = frame
     for note in notes:
         x, y = left + note["x"] * (right - left), bottom - note["y"] * (bottom - top)
-        yield _text(x, y - 5, _plain(note["text"]), weight="bold")
+        yield _text(x, y - 5, unescape(note["text"]), weight="bold")
 
 
 def _legend(traces: Sequence[Mapping[str, Any]], frame: _Frame) -> Iterator[str]:
     right, x = frame[1], frame[1]
     for trace in reversed([trace for trace in traces if trace.get("showlegend", True)]):
-        name = _plain(trace["name"])
+        name = unescape(trace["name"])
         x -= 6.2 * len(name) + 22
         yield _mark(x, 10.0, trace["marker"])
         yield _text(x + 9, 13.5, name)
@@ -123,13 +123,6 @@ def _text(
         anchor = "middle"
     said = escape(text.replace("-", "−") if text[:1] == "-" else text)
     return f"<text x='{x:.2f}' y='{y:.2f}' fill='{INK}' text-anchor='{anchor}'{more}>{said}</text>"
-
-
-def _plain(text: str) -> str:
-    """Return the inverse of `parts.as_text`."""
-    for quoted, plain in _PLAIN:
-        text = text.replace(quoted, plain)
-    return text
 
 
 def _ends(values: Iterable[float]) -> tuple[float, float]:
@@ -191,19 +184,10 @@ def residual_steps(
         for sense, (name, symbol, colour) in APPROACHES.items():
             chosen = [i for i, one in enumerate(approach) if one == sense]
             if chosen:
-                data.append(
-                    {
-                        "type": "scatter",
-                        "mode": "markers",
-                        "name": name,
-                        "showlegend": k == 0,
-                        "x": [elevation_deg[i] for i in chosen],
-                        "y": [left_deg[i] for i in chosen],
-                        "yaxis": axis,
-                        "marker": {"color": colour, "symbol": symbol, "size": 5},
-                        "hoverinfo": "skip",
-                    }
-                )
+                x, y = [elevation_deg[i] for i in chosen], [left_deg[i] for i in chosen]
+                marker = {"color": colour, "symbol": symbol, "size": 5}
+                more = {"yaxis": axis, "showlegend": k == 0, "hoverinfo": "skip"}
+                data.append(points_of(name, x, y, marker, **more))
     layout["xaxis"]["anchor"] = "y" if len(steps) == 1 else f"y{len(steps)}"
     layout["margin"]["t"] = 40
     return {"data": data, "layout": layout}

@@ -19,7 +19,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 if TYPE_CHECKING:  # numpy is not needed to know what there is
     from calrig.instruments.types import Board, Stage
@@ -74,6 +75,11 @@ class OpenBoard(Protocol):
     """Opens a board's port. Without a baudrate the driver's own is used."""
 
     def __call__(self, url: str, *, baudrate: int | None) -> Board: ...  # noqa: D102
+
+
+def opened_by(module: str) -> Callable[..., Any]:
+    """Opens by the `OPENS` of a driver's module, which is imported only then: no scan needs numpy."""
+    return lambda url, **how: import_module(module).OPENS(url, **how)
 
 
 def lines_of(heard: bytes) -> list[str]:

@@ -83,6 +83,11 @@ class Run(Model):
         return self.status == "queued" and (self.error or "").endswith(UNTIL_GO)
 
 
+def mount_axis(plan: dict[str, Any] | None, provenance: dict[str, Any]) -> str:
+    """Which of the unit's axes lay along the stage's in a run: as planned, or as an imported file says."""
+    return str((plan or provenance).get("mount_axis", "x"))
+
+
 class PoseColumns(BaseModel):
     """Columns of a pose as stored and as answered (CONTRACT section 4), but for its sweep and approach."""
 

@@ -60,7 +60,8 @@ def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: fl
     """
     known = run.provenance.get("rig")
     if known is not None:
-        _require_same(run.id, f"rig {settings.name!r}", known, _described(settings))
+        now = settings.model_dump(mode="json", exclude={"filter", "simulated", "clamp"})
+        _require_same(run.id, f"rig {settings.name!r}", known, now)
     plan = Plan.model_validate(run.plan)
     try:
         planned = plan.poses(settings.limits_deg)
@@ -170,10 +171,6 @@ class Returned:
             f"the interruption, more than {CHANCE_STD:g} standard errors ({CHANCE_STD * self.std_deg:.3f}°): "
             "run the diagnosis to see whether the unit drifted or slipped"
         ]
-
-
-def _described(settings: RigSettings) -> dict[str, Any]:
-    return settings.model_dump(mode="json", exclude={"filter", "simulated", "clamp"})
 
 
 def _require_same(run_id: str, what: str, known: Mapping[str, Any], now: Mapping[str, Any]) -> None:

@@ -9,15 +9,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.imports import check_serial
 from calrig.analysis.revisions import Issuer, Releases
 from calrig.analysis.stored_runs import stored_run
-from calrig.model.plan import MountAxis, Plan
+from calrig.model.plan import MountAxis
 from calrig.model.service import RigState
-from calrig.runs.assignment import NewRun, RunAssignment, rig_followed_up_on
+from calrig.runs.assignment import NewRun, RunAssignment
 from calrig.runs.control import End
 from calrig.runs.crew import Clamps, WorkerRegistry
-from calrig.runs.follow_up import Designed, FollowUpQuestion
 from calrig.runs.plan_estimates import planned_poses, require_reachable
 from calrig.runs.presence import BoardCheck, PresenceMonitor
 from calrig.runs.recorder import Bus, ServiceMetrics, check_transition
@@ -25,6 +23,7 @@ from calrig.runs.resume import resumed_task, waiting_task
 from calrig.runs.rig import check_stage_at, require_in_date
 from calrig.runs.rig_status import state_of
 from calrig.runs.run_queue import RunQueue
+from calrig.runs.services import Service
 from calrig.runs.single_flight import SharedTask
 from calrig.runs.stopping import STOPPED, StopService
 from calrig.runs.worker import Worker
@@ -41,8 +40,8 @@ CLOSE_S = 4.0
 """How long the service waits for all of its runs together when it is told to go."""
 
 
-class RunService:
-    """Starts runs and passes requests on to them. Thread-safe.
+class RunService(Service):
+    """Runs on the rigs of this machine. Thread-safe.
 
     Attributes:
         crew: which runs are on which rigs.
@@ -52,7 +51,7 @@ class RunService:
         rigs: those there are.
         record: folder for transcripts of every byte on the rigs' wires; None for none.
         issuer: makes drafts of completed calibrations; without it by what the rigs' `release` says.
-        maps: what runs keep of the stage's map that a file gives, by rig (`analysis.stage_maps`).
+        maps: as of `Service`.
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class RunService:
     ) -> None:
         self.store = store
         self.maps = maps
-        self.issuer = issuer or Issuer(store, Releases.of(rigs))
+        self._issuer = issuer or Issuer(store, Releases.of(rigs))
         self.bus = Bus()
         self._rigs = {rig.name: rig for rig in rigs}
         self.meter = ServiceMetrics(self._rigs)
@@ -79,6 +78,11 @@ class RunService:
         self._clamps = Clamps(self.crew, self._queue.next)
         self._presence = PresenceMonitor(store, self.crew)
 
+    @property
+    def issuer(self) -> Issuer:
+        """Makes drafts of completed calibrations."""
+        return self._issuer
+
     def rigs(self) -> list[RigState]:
         """Every configured rig and what it is doing. Looks at no port that would notice."""
         busy, unreachable = self.crew.look()
@@ -87,46 +91,9 @@ class RunService:
             for rig in self._rigs.values()
         ]
 
-    def start(
-        self,
-        *,
-        unit: str,
-        plan: Plan,
-        rig: str | None = None,
-        operator: str | None = None,
-        note: str | None = None,
-        stage_at_deg: float | None = None,
-        queue: bool = False,
-    ) -> Run:
-        """Starts a run on a rig (the first one configured where none is named) and returns it at once.
-
-        `stage_at_deg` is a person's word for the elevation at which a stage without homing stands; `queue`
-        has the run wait its turn where the rig is busy.
-
-        Raises:
-            Invalid: the serial number or an elevation of the plan is out of bounds; nothing was stored.
-            Unknown: there is no such rig.
-            Conflict: the rig is busy.
-        """
-        check_serial(unit)
-        settings = self._rig(rig)
-        wanted = NewRun(
-            unit=unit, plan=plan, operator=operator, who=operator, note=note, stage_at_deg=stage_at_deg
-        )
-        return self.begin(settings, wanted, waits=queue)
-
-    def follow_up_question(self, run_id: str) -> FollowUpQuestion:
-        """Which run would separate what the diagnosis of a run, and those before it, could not.
-
-        Raises Unknown where there is no such run, Conflict where it was imported or one has not ended.
-        """
-        run = stored_run(self.store, run_id)
-        return FollowUpQuestion.of(self.store, run, self._rig(rig_followed_up_on(run)).limits_deg)
-
-    def follow_up(self, asked: FollowUpQuestion, found: Designed, who: str | None = None) -> Run:
-        """Starts that run; Conflict where nothing can be separated on the rig, and why, or it is busy."""
-        settings = self._rig(rig_followed_up_on(asked.last))
-        return self.begin(settings, NewRun.following(asked, found, who))
+    def start_on(self, rig: str | None, wanted: NewRun, *, waits: bool = False) -> Run:
+        """As `begin`, on the rig of a name; on the first one configured without."""
+        return self.begin(self.known_rig(rig), wanted, waits=waits)
 
     def begin(self, settings: RigSettings, wanted: NewRun, *, waits: bool = False) -> Run:
         """Start a run on a rig of this service, which is free or kept for that run; errors as of `start`.
@@ -164,7 +131,7 @@ class RunService:
     def _start_worker(self, task: RunAssignment) -> None:
         """Start the worker of a run; call it under the lock."""
         left = self.crew.left_rig
-        worker = Worker(task, self.store, self.issuer, self.bus, self.meter, left, self._ended, self._record)
+        worker = Worker(task, self.store, self._issuer, self.bus, self.meter, left, self._ended, self._record)
         if self.crew.take(worker):
             worker.control.end(End("aborted", STOPPED))
         worker.start(self._presence.let_go(worker.rig.name))
@@ -238,25 +205,18 @@ class RunService:
             log.error("run %s was aborted and cannot be read: %s", worker.run_id, error)
             return worker.as_known
 
-    def stop(self, rig_name: str) -> RigState:
+    def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
         """Stops a rig's stage now, whatever runs: a run on it is aborted, an idle stage is told by itself.
 
-        What waits for the rig is aborted as well.
-
-        Returns once the stage was seen to stand.
+        What waits for the rig is aborted as well. It is done, once the stage was seen to stand, in a thread
+        that is this rig's alone; who asks while it is being told shares that. `who` is entered in the trail
+        with the end of each run that this aborts.
 
         Raises:
             Unknown: there is no such rig.
-            Conflict: it is not known to stand; says why and what to do.
+            Conflict: as the task's result; it is not known to stand; says why and what to do.
         """
-        return self.begin_stop(rig_name).result()
-
-    def begin_stop(self, rig_name: str, who: str | None = None) -> SharedTask[RigState]:
-        """As `stop`, in a thread that is this rig's alone; who asks while it is being told shares that.
-
-        `who` is entered in the trail with the end of each run that this aborts.
-        """
-        rig = self._rig(rig_name)
+        rig = self.known_rig(rig_name)
         self.crew.call_off(rig_name)
         # Beside the stop, which waits for no store; a daemon, for a store that hangs is to keep no process.
         tell = self._queue.call_off(rig_name, who)
@@ -271,13 +231,13 @@ class RunService:
 
     def begin_clamp(self, rig_name: str, mount_deg: float, axis: MountAxis) -> SharedTask[RigState]:
         """Has a rig's clamp turn the unit, in a thread of its own; errors as of `Clamps.turn`, or Unknown."""
-        rig = self._rig(rig_name)
+        rig = self.known_rig(rig_name)
         with self._lock:
             return self._clamps.turn(rig, mount_deg, axis, lambda: self._state_of(rig))
 
     def look(self, rig_name: str) -> None:
         """Has an idle rig's board looked at for a while: whether a unit is there, and which. Or Unknown."""
-        self._presence.look(self._rig(rig_name))
+        self._presence.look(self.known_rig(rig_name))
 
     def looks(self) -> dict[str, BoardCheck]:
         """What the last looks at boards gave, by rig; of those that are looked at."""
@@ -362,9 +322,6 @@ class RunService:
 
     def known_rig(self, name: str | None) -> RigSettings:
         """A rig's settings, those of the first one without a name; Unknown where no such is configured."""
-        return self._rig(name)
-
-    def _rig(self, name: str | None) -> RigSettings:
         if name is None:
             return next(iter(self._rigs.values()))
         if name not in self._rigs:

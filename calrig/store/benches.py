@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 from sqlalchemy import and_, delete, not_, text, update
 from sqlmodel import Session, col, func, select
 
+from calrig.model.clock_skew import is_refused, said_skew_s, skew_in_words
 from calrig.model.run import UNFINISHED, UNTIL_GO
 from calrig.run_ids import new_run_id
 from calrig.store import event_log, trail
@@ -147,8 +148,10 @@ def _kept_waiting(session: Session) -> list[tuple[RunTable, str | None]]:
     )
     found = []
     for run, order, bench in session.exec(wanted):
-        why = refusal(bench)
+        why, skew_s = refusal(bench), said_skew_s(bench.said.get("clock_skew_s"))
         said = None if why is None else f"bench {bench.name} takes no orders: {why}"
+        if said is None and is_refused(skew_s):
+            said = f"bench {bench.name}: {skew_in_words(skew_s)}"
         found.append((run, HELD if order.held_epoch >= order.epoch else said))
     return found
 

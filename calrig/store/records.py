@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 import calrig.model.run
 from calrig.calibration.poses import Filtering, Pose
-from calrig.calibration.results import EffectDoubt
+from calrig.calibration.results import AppliedEffect, EffectDoubt, numbers_of, own_effect
 from calrig.calibration.separation import StageMap
 from calrig.calibration.uncertainty import make_verdict
 from calrig.estimation.kalman import KalmanNoise
@@ -182,6 +182,16 @@ class AcceptedEffect:
     def rests_on(self) -> list[str]:
         """Ids of the runs whose poses its parameters were fitted to."""
         return list(self.runs) or [self.run_id]
+
+
+def as_applied(accepted: Sequence[AcceptedEffect]) -> list[AppliedEffect]:
+    """Accepted effects as arithmetic takes them."""
+    return [
+        own_effect(effect.name, effect.parameters)
+        if effect.unit is not None
+        else (effect.name, numbers_of(effect.parameters))
+        for effect in accepted
+    ]
 
 
 def doubt_of(accepted: Sequence[AcceptedEffect], run_id: str | None = None) -> EffectDoubt:

@@ -5,11 +5,11 @@ A run on a rig stores each pose as it is measured, and must not wait while an im
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal, Unpack, get_args
+from typing import Any, Literal, Unpack, get_args
 
 import sqlalchemy
 from sqlalchemy import Column, ColumnElement, Connection, MetaData, Table
@@ -349,30 +349,20 @@ class Runs(Repository):
 
     def reference_figures(self, run_ids: Sequence[str]) -> dict[str, tuple[float, float | None]]:
         """What the stage is worth in the bias (deg) and scale of runs that know it: type B, by run."""
-        found: dict[str, tuple[float, float | None]] = {}
-        with self._database.reading() as session:
-            for begin in range(0, len(run_ids), IDS_AT_ONCE):
-                some = run_ids[begin : begin + IDS_AT_ONCE]
-                wanted = select(RunTable.uid, RunTable.result).where(col(RunTable.uid).in_(some))
-                for run_id, result in session.exec(wanted):
-                    reference = (result or {}).get("reference")
-                    if reference is not None:
-                        found[run_id] = (reference["bias_std_deg"], reference["scale_std"])
-        return found
+        worth = ((run_id, result.get("reference")) for run_id, result in self._results(run_ids))
+        return {run_id: (one["bias_std_deg"], one["scale_std"]) for run_id, one in worth if one is not None}
 
     def gyros(self, run_ids: Sequence[str]) -> dict[str, Gyro]:
         """What runs with a result say of the gyro, by run."""
-        found: dict[str, Gyro] = {}
+        return {run_id: Gyro.model_validate(result["gyro"]) for run_id, result in self._results(run_ids)}
+
+    def _results(self, run_ids: Sequence[str]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+        """The results of runs that have one, by run."""
         with self._database.reading() as session:
             for begin in range(0, len(run_ids), IDS_AT_ONCE):
                 some = run_ids[begin : begin + IDS_AT_ONCE]
                 wanted = select(RunTable.uid, RunTable.result).where(col(RunTable.uid).in_(some))
-                found |= {
-                    run_id: Gyro.model_validate(result["gyro"])
-                    for run_id, result in session.exec(wanted)
-                    if result is not None
-                }
-        return found
+                yield from ((run_id, result) for run_id, result in session.exec(wanted) if result is not None)
 
 
 def older_than(session: Session, cursor: str | None) -> list[ColumnElement[bool]]:

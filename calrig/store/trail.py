@@ -55,13 +55,12 @@ class Request:
     who: str | None
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry(Act):
     """An act in the trail: its number, when it was done, and the hash that chains it to the one before."""
 
     seq: int
     at: datetime
-    act: Act
     sha256: str
 
 
@@ -190,9 +189,9 @@ def chained(before: str, said: Sequence[Any]) -> str:
 
 def entry_document(entry: Entry) -> Document:
     """An entry as JSON that `is_chained` takes."""
-    act = asdict(entry.act)
-    at = entry.at.astimezone(UTC).isoformat(timespec="microseconds")
-    return {"seq": entry.seq, "at": at, **act, "sha256": entry.sha256}
+    said = asdict(entry)
+    at = said.pop("at").astimezone(UTC).isoformat(timespec="microseconds")
+    return {"seq": said.pop("seq"), "at": at, **said}
 
 
 def is_chained(before: str, document: Document) -> bool:
@@ -203,5 +202,4 @@ def is_chained(before: str, document: Document) -> bool:
 
 
 def _entry(row: TrailTable) -> Entry:
-    act = Act(**{name: getattr(row, name) for name in _SAID[2:]})
-    return Entry(row.seq, row.at, act, row.sha256)
+    return Entry(**{name: getattr(row, name) for name in (*_SAID, "sha256")})

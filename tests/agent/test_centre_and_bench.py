@@ -19,6 +19,8 @@ from support import QUICK, ended, imported, serving, wait_for
 
 from calrig.agent import clock
 from calrig.centre.service import CentreService
+from calrig.cli.followed_run import FollowedRun
+from calrig.client import Client
 from calrig.store import Store
 
 
@@ -94,7 +96,7 @@ def test_a_bench_whose_clock_is_a_minute_off_takes_no_orders_and_says_why(
         assert not agent.lease.is_held()
         assert run_of(page, run_id)["status"] == "queued"
         ahead_s = 10.0
-        wait_for(lambda: run_of(page, run_id)["error"], "run that is held back")
+        wait_for(lambda: run_of(page, run_id)["held"], "run that is held back")
         page.post(f"/api/runs/{run_id}/resume").raise_for_status()
         assert ended(page, run_id)["status"] == "completed"
         said_then = wait_for(
@@ -103,6 +105,23 @@ def test_a_bench_whose_clock_is_a_minute_off_takes_no_orders_and_says_why(
         assert "ahead of the centre's: synchronise" in said_then
         ahead_s = 0.0
         wait_for(lambda: said()[1] is None, "nothing to be said")
+
+
+def test_a_terminal_hears_why_a_run_waits_for_its_bench_and_then_for_go(
+    page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ahead_s = 75.0
+    monkeypatch.setattr(clock, "utc_now", lambda: datetime.now(UTC) + timedelta(seconds=ahead_s))
+    there = Client(str(page.base_url))
+    with agent_at(centre.bench_url, spool, rig, is_accepted=False):
+        followed = FollowedRun(there, there.run(started(page)))
+
+        def told(words: str) -> bool:
+            return any(words in event.data.get("says", "") for event in followed.news())
+
+        wait_for(lambda: told("so it takes no orders"), "why it waits")
+        ahead_s = 0.0
+        wait_for(lambda: told("begins once somebody says Go"), "what it waits for")
 
 
 def test_a_unit_on_a_bench_is_looked_at_before_its_run(

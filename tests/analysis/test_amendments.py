@@ -58,14 +58,14 @@ def figures(run: Run) -> dict[str, Any]:
 
 def told(store: Store, **asked: Any) -> list[tuple[Any, ...]]:
     """What the trail says of acts after the runs were made, but for the drafts that they led to."""
-    acts = [entry.act for entry in store.trail.entries(**asked)]
+    acts = store.trail.entries(**asked)
     left_out = ("started", "drafted", "released")
     return [(a.what, a.who, a.run_id, a.reason) for a in acts if a.what not in left_out]
 
 
 def last_detail(store: Store) -> dict[str, Any]:
     """What the trail says beside of the last of them."""
-    acts = [entry.act for entry in store.trail.entries()]
+    acts = store.trail.entries()
     return [act.detail for act in acts if act.what not in ("drafted", "released")][-1]
 
 

@@ -90,7 +90,7 @@ def test_naming_one_is_in_the_trail_and_another_unit_begins_anew(store: Store) -
     assert store.check_standards.name("bench-1", "OTHER", 5).named_at > at(3)
     store.check_standards.remove("bench-1", who="ada")
     assert store.check_standards.all() == []
-    acts = [entry.act for entry in store.trail.entries(what=["check_unit_changed"])]
+    acts = store.trail.entries(what=["check_unit_changed"])
     assert [(act.who, act.rig, act.detail["unit"]) for act in acts] == [
         ("ada", "bench-1", "CHECK"),
         (None, "bench-1", "CHECK"),

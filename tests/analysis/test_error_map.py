@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from studies.joint.rig import Bench, Design, Stage, drawn_stage, drawn_unit
 
-from calrig.analysis.error_map import MOST_RUNS, basis_of, error_map
+from calrig.analysis.error_map import MOST_RUNS, basis_of, poses_by_mounting, solved_map
 from calrig.calibration.results.result import build_result
 from calrig.calibration.separation.pose_table import MountedPoses
 from calrig.store import Run, Store
@@ -39,18 +39,23 @@ def bench() -> tuple[Stage, Sequence[MountedPoses]]:
     return stage, Bench(units, stage, (*three, once)).measured(rng)
 
 
+def _solved_map(store):
+    basis = basis_of(store, "bench-1")
+    return solved_map(poses_by_mounting(store, basis), basis)
+
+
 def test_one_unit_that_was_clamped_anew_fixes_the_map_of_the_rig(store, bench):
     stage, (first, second, third, other) = bench
     for lot in (first, other):
         laid(store, lot)
-    before = error_map(store, "bench-1")
+    before = _solved_map(store)
     assert (before.stage_deg, before.units) == ([], 2)
     assert "clamped at 0°, 120°, 240°" in before.says
     laid(store, second)
     bumped = laid(store, first)
     store.amendments.void(bumped.id, "bumped")
     laid(store, third)
-    found = error_map(store, "bench-1")
+    found = _solved_map(store)
     assert (found.units, set(found.approach)) == (2, {-1, 1})
     dial, approach = np.array(found.stage_deg), np.array(found.approach)
     left = stage.table_deg(dial, approach) - dial - np.array(found.error_deg)
@@ -61,7 +66,7 @@ def test_one_unit_that_was_clamped_anew_fixes_the_map_of_the_rig(store, bench):
 
 
 def test_a_rig_without_runs_has_none_and_of_many_the_newest_count(store, bench):
-    assert error_map(store, "bench-1").says == "Not known yet: the rig has no completed run."
+    assert _solved_map(store).says == "Not known yet: the rig has no completed run."
     _, (first, second, _, _) = bench
     remounted = laid(store, second)
     runs = [laid(store, replace(first, poses=first.poses[:4])) for _ in range(MOST_RUNS + 1)]

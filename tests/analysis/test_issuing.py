@@ -120,9 +120,7 @@ def test_a_strict_labs_draft_waits_for_a_person_and_says_so_with_name_and_reason
     assert strict.stale() == [[], ["Accepted since: temperature_bias."]]
     strict.issuer.release("A", 2, by="ben", reason="effects confirmed")
     assert strict.told() == [(2, "in_force"), (1, "superseded")]
-    acts = [
-        (e.act.what, e.act.who, e.act.revision, e.act.reason) for e in strict.store.trail.entries(unit="A")
-    ]
+    acts = [(e.what, e.who, e.revision, e.reason) for e in strict.store.trail.entries(unit="A")]
     assert ("released", "ada", 1, "reviewed") in acts
     assert ("released", "ben", 2, "effects confirmed") in acts
 
@@ -265,4 +263,4 @@ def test_a_unit_that_never_was_is_removed_once_its_run_is_moved_and_its_revision
     lab.issuer.withdraw("AS-0O42", 1, by="ada", reason="there is no such unit")
     lab.store.units.remove("AS-0O42")
     assert [unit.serial for unit in lab.store.units.all()] == ["AS-0042"]
-    assert lab.store.trail.entries(unit="AS-0O42")[-1].act.what == "unit_removed"
+    assert lab.store.trail.entries(unit="AS-0O42")[-1].what == "unit_removed"

@@ -77,7 +77,7 @@ def test_the_second_runs_effects_are_fitted_with_those_in_force_and_replace_them
     assert document["run_id"] == two[1].id
     std_deg = document["covariance"][0][0] ** 0.5
     assert document["bias_deg"] == pytest.approx(TRUE_BIAS_DEG, abs=2.5 * std_deg)
-    (told,) = (e.act for e in lab.store.trail.entries(what=["accepted"]) if e.act.run_id == two[1].id)
+    (told,) = (e for e in lab.store.trail.entries(what=["accepted"]) if e.run_id == two[1].id)
     assert told.detail["fitted_over"] == [run.id for run in two]
 
 

@@ -155,7 +155,7 @@ class TestMending:
         newest, first = store.revisions.of(UNIT)
         assert [one["name"] for one in newest.document["effects"]] == [WARMTH]
         assert (newest.status, first.status) == ("in_force", "superseded")
-        told = [entry.act.reason for entry in store.trail.entries(what=["mended"]) if entry.act.unit]
+        told = [entry.reason for entry in store.trail.entries(what=["mended"]) if entry.unit]
         assert told == says
         assert store.trail.broken_link() is None
         assert mend(store, Issuer(store)) == []

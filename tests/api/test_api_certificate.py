@@ -180,7 +180,7 @@ def test_the_trail_says_where_the_head_of_its_chain_was(lab: tuple[httpx.Client,
     mark = content(service).trail
     assert mark is not None
     entry = next(one for one in service.store.trail.entries() if one.seq == mark.seq)
-    assert (entry.sha256, entry.act.what, entry.act.revision) == (mark.sha256, "released", 2)
+    assert (entry.sha256, entry.what, entry.revision) == (mark.sha256, "released", 2)
 
 
 def test_what_a_unit_came_with_on_a_later_day_is_not_of_an_earlier_calibration(

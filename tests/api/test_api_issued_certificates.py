@@ -202,7 +202,7 @@ def test_it_is_in_the_trail_whose_newest_entries_cannot_be_cut_off_unseen(lab) -
     client, service = lab
     one = issued(client)
     (entry,) = service.store.trail.entries(what=["certificate_issued"])
-    assert (entry.act.unit, entry.act.revision, entry.act.detail["number"]) == (UNIT, 1, one["number"])
+    assert (entry.unit, entry.revision, entry.detail["number"]) == (UNIT, 1, one["number"])
     assert entry.seq == one["trail_seq"] + 1
     assert service.store.trail.broken_link() is None
     database = service.store._database

@@ -85,7 +85,7 @@ def test_an_abort_is_stored_with_its_entry_or_not_at_all(service: Any, monkeypat
     assert service.run(run.id).status == "interrupted"
     assert service.abort(run.id, "ada").status == "aborted"
     (entry,) = service.store.trail.entries(what=["aborted"])
-    assert (entry.act.who, entry.act.run_id) == ("ada", run.id)
+    assert (entry.who, entry.run_id) == ("ada", run.id)
 
 
 def test_the_log_names_them_too(ada: httpx.Client, caplog: pytest.LogCaptureFixture) -> None:

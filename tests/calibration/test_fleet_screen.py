@@ -142,6 +142,14 @@ def test_one_elevation_has_no_scale_and_arithmetic_no_effect():
     assert not seen.stands_out[1]
 
 
+def test_a_reading_of_noise_alone_has_no_error_in_degrees():
+    rng = np.random.default_rng(7)
+    stuck = [replace(pose, reading_deg=5.0 + float(rng.normal(0.0, 0.02))) for pose in run(1)]
+    seen = screen(packed({"stuck": stuck, "sound": run(1)}))
+    assert np.isnan(seen.residual_deg[:40]).all()
+    assert np.isfinite(seen.residual_deg[40:]).all()
+
+
 def test_a_unit_upside_down_is_fitted_on_its_own_turn():
     turned = [replace(pose, reading_deg=(pose.reading_deg + 360.0) % 360.0 - 180.0) for pose in run(1)]
     seen = screen(packed({"as it is": run(1), "turned": turned}))

@@ -11,17 +11,15 @@ from scipy.optimize import least_squares
 from scipy.stats import binom
 from support import DATA
 
+from calrig.calibration.gravity_fit import EFFECTS, Problem, fit_gravity
 from calrig.calibration.separation.gravity import (
-    EFFECTS,
-    GravityError,
-    Problem,
     calibrate_by_gravity,
-    fit_gravity,
     gravity_document,
     search,
     trace_gravity,
 )
-from calrig.calibration.static_detector import StaticPoses, static_poses
+from calrig.calibration.static_detector import static_poses
+from calrig.calibration.static_segments import GravityError, StaticPoses
 from calrig.export.static_csv import accel_g_of, read_static
 
 BIAS_G = np.array([0.02, -0.03, 0.05])

@@ -107,7 +107,7 @@ def test_a_stop_that_stays_goes_once_somebody_withdraws_it(patient_centre: Centr
         assert client.get("/api/rigs").json()[0]["stop_asked_at"] is None
     assert bench.command() is None
     (entry,) = patient_centre.store.trail.entries()
-    assert (entry.act.what, entry.act.rig, entry.act.detail) == (
+    assert (entry.what, entry.rig, entry.detail) == (
         "stop_withdrawn",
         "bench-1",
         {"benches": ["hall-2"]},

@@ -35,7 +35,7 @@ def test_a_run_begun_at_its_bench_is_at_the_centre_as_it_was_measured(
     run = centre.run(measured.run.id)
     known = run.model_copy(update={"limit": None, "provenance": measured.run.provenance})
     assert known == measured.run.model_copy(update={"limit": None})
-    acts = [(entry.act.what, entry.act.who) for entry in centre.store.trail.entries()]
+    acts = [(entry.what, entry.who) for entry in centre.store.trail.entries()]
     assert acts == [("started", "Ada"), ("drafted", "Ada"), ("released", "Ada")]
     assert centre.store.trail.broken_link() is None
 

@@ -32,7 +32,7 @@ def test_a_run_and_its_order_are_made_together(centre: CentreService, bench: Tab
     assert order.document["plan"] == run.plan
     assert order.document["stage_at_deg"] == 3.0
     assert [event.data["status"] for event in centre.store.events.after(run.id)] == ["queued"]
-    assert [entry.act.what for entry in centre.store.trail.entries(unit="A")] == ["started"]
+    assert [entry.what for entry in centre.store.trail.entries(unit="A")] == ["started"]
 
 
 def test_an_uncertainty_that_nobody_could_state_is_not_ordered_as_an_end(
@@ -93,7 +93,7 @@ def test_a_busy_rig_is_refused_unless_the_run_may_wait(centre: CentreService, be
 
     assert bench.orders() == [first, second]
     assert centre.rigs()[0].run_id == first
-    assert [entry.act.unit for entry in centre.store.trail.entries()] == ["A", "B"]
+    assert [entry.unit for entry in centre.store.trail.entries()] == ["A", "B"]
 
 
 def test_what_cannot_be_ordered_is_said_before_anything_is_stored(

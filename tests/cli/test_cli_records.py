@@ -108,14 +108,14 @@ def test_a_backup_of_an_idle_store_is_the_store(folder):
 def entered(store):
     """The heads of backups that a store's audit log has, and how many entries were there before each."""
     found = store.trail.entries(what=["backed_up"])
-    return [(one.seq - 1, one.act.detail["trail_seq"]) for one in found]
+    return [(one.seq - 1, one.detail["trail_seq"]) for one in found]
 
 
 def test_a_backup_is_entered_in_the_audit_log_with_its_newest_entry(folder):
     calrig("import", "poses.csv", "--unit", "A")
     told = calrig("backup", "one.db").stdout + calrig("backup", "two.db").stdout
     with Store.open(f"sqlite:///{folder / 'calrig.db'}", writer=None) as store:
-        acts = [one.act.detail for one in store.trail.entries(what=["backed_up"])]
+        acts = [one.detail for one in store.trail.entries(what=["backed_up"])]
         assert entered(store) == [(one["trail_seq"], one["trail_seq"]) for one in acts]
         assert store.trail.broken_link() is None
     assert len(acts) == 2

@@ -24,7 +24,7 @@ from calrig.plan import Plan
 from calrig.store import Run, StoredPose
 from calrig.store.issued import Revision
 from calrig.store.records import AcceptedEffect
-from calrig.store.trail import Act, Entry
+from calrig.store.trail import Entry
 from calrig.store.units import CalibrationItem
 
 WORDS = ("AS-0042", "Ä/7 \"<&>'", "\x00\x1b[2J", "温度 \ufffe", " ", "a\nb\tc", "]]>", "x" * 200, "🛰")
@@ -204,7 +204,7 @@ def _run(rng: random.Random, revision: Revision, provenance: dict[str, Any]) -> 
 
 
 def _entry(rng: random.Random, what: Any) -> Entry:
-    return Entry(rng.randrange(1, 10**6), DAY, Act(what, rng.choice([None, *WORDS])), "a" * 64)
+    return Entry(what, rng.choice([None, *WORDS]), seq=rng.randrange(1, 10**6), at=DAY, sha256="a" * 64)
 
 
 def _item(rng: random.Random) -> CalibrationItem:

@@ -87,7 +87,7 @@ class TestCodes:
         assert make_url(after).password != make_url(before).password
         with connect(after) as bench:
             assert bench.execute("SELECT name FROM bench").fetchall() == [(name,)]
-        done = [e.act.what for e in centre.store.trail.entries() if e.act.detail["bench"] == name]
+        done = [e.what for e in centre.store.trail.entries() if e.detail["bench"] == name]
         assert done == ["bench_added", "bench_enrolled", "bench_revoked", "bench_added", "bench_enrolled"]
         assert centre.store.trail.broken_link() is None
 

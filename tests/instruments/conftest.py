@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from instrument_fakes import CLOCK, FakeBoard, FakeSmc100, end_senders
+from instrument_fakes import CLOCK, FakeBoard, FakeSmc100, Wire, end_senders
 
 from calrig.instruments.boards.calrig.driver import CalrigBoard
 from calrig.instruments.stages.smc100.driver import Smc100
@@ -19,6 +19,13 @@ def _time_stands():
 def _senders_end_with_their_test():
     yield
     end_senders()
+
+
+@pytest.fixture
+def wire():
+    end = Wire()
+    yield end
+    end.vanish()
 
 
 @pytest.fixture

@@ -7,18 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 import serial
-from instrument_fakes import Wire
 from serial import rfc2217
 
 from calrig.instruments.errors import PortError
 from calrig.instruments.ports import open_port
-
-
-@pytest.fixture
-def wire():
-    end = Wire()
-    yield end
-    end.vanish()
 
 
 @pytest.fixture

@@ -31,13 +31,6 @@ def listed(monkeypatch):
     return ports
 
 
-@pytest.fixture
-def wire():
-    end = Wire()
-    yield end
-    end.vanish()
-
-
 def adapter(device, serial=None):
     info = ListPortInfo(device)
     info.vid, info.pid, info.serial_number, info.description = 0x1A86, 0x7523, serial, "USB Serial"

@@ -157,7 +157,7 @@ def test_the_trail_of_a_store_of_counted_runs_stays_whole_and_goes_on(url, datab
         assert store.trail.broken_link() is None
         store.amendments.void("1", "slipped again")
         run = store.runs.create(unit="A", rig="r", plan={}, status="queued", provenance={}, follows="1")
-        assert [entry.act.run_id for entry in store.trail.entries()] == ["1", None, "1", "1", run.id]
+        assert [entry.run_id for entry in store.trail.entries()] == ["1", None, "1", "1", run.id]
         assert run.follows == "1"
         assert store.trail.broken_link() is None
     with closing(sqlite3.connect(database)) as connection, connection:

@@ -46,7 +46,7 @@ def test_one_map_is_in_force_for_a_rig_until_it_is_withdrawn(store):
     assert store.stage_maps.of("r") is None
     with pytest.raises(NotFound, match="no stage's map in force"):
         store.stage_maps.withdraw("r", "once more")
-    acts = [entry.act for entry in store.trail.entries(what=["map_put_in_force", "map_withdrawn"])]
+    acts = store.trail.entries(what=["map_put_in_force", "map_withdrawn"])
     assert [(act.what, act.rig, act.detail["sha256"][:2]) for act in acts] == [
         ("map_put_in_force", "r", "5f"),
         ("map_put_in_force", "r", "60"),

@@ -158,7 +158,7 @@ def test_the_trail_says_who_changed_which_and_nothing_where_nothing_changed(stor
     store.limits.replace([FLIGHT], who="ada")
     store.limits.replace([FLIGHT], who="ben")
     (entry,) = store.trail.entries(what=["limits_changed"])
-    assert (entry.act.who, entry.act.detail) == (
+    assert (entry.who, entry.detail) == (
         "ada",
         {"before": [], "now": [FLIGHT.model_dump(mode="json")]},
     )

@@ -127,3 +127,11 @@ def expect(browser: Any) -> Any:
 
     expect.set_options(timeout=1000 * PATIENCE_S)
     return expect
+
+
+@pytest.fixture
+def no_limits(client):
+    """None before a test and none left of it: the service is that of all tests of the page."""
+    client.put("/api/limits", json=[])
+    yield
+    client.put("/api/limits", json=[])

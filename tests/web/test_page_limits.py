@@ -6,17 +6,9 @@ import pytest
 
 from .page_help import imported
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.usefixtures("no_limits")]
 
 REFUSED_422 = r"status of 422"
-
-
-@pytest.fixture(autouse=True)
-def no_limits(client):
-    """None before a test and none left of it: the service is that of all tests of the page."""
-    client.put("/api/limits", json=[])
-    yield
-    client.put("/api/limits", json=[])
 
 
 def fill_in(page, place, **figures):

@@ -10,18 +10,10 @@ from calrig.calibration.effects import EFFECTS
 
 from .page_help import figures_of, imported_lines, unfold_effect
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.usefixtures("no_limits")]
 
 DESK, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 NOISE_DEG = 0.017
-
-
-@pytest.fixture(autouse=True)
-def no_limits(client):
-    """None before a test and none left of it: the service is that of all tests of the page."""
-    client.put("/api/limits", json=[])
-    yield
-    client.put("/api/limits", json=[])
 
 
 def poses(backlash_deg=0.0, deg_per_c=0.0, warming=False):

@@ -23,26 +23,3 @@ from calrig.calibration.histories.charts import (
     forecast,
 )
 from calrig.calibration.histories.repeatability import IntArray, Repeatability, Runs, pairs
-
-__all__ = [
-    "FALSE_DISCOVERY_RATE",
-    "RIG_CHART",
-    "UNIT_CHART",
-    "Bounds",
-    "Changes",
-    "Checks",
-    "Components",
-    "ControlChart",
-    "Differences",
-    "Forecast",
-    "IntArray",
-    "Repeatability",
-    "Runs",
-    "changes",
-    "checks",
-    "components",
-    "control_chart",
-    "drift_deg_per_day",
-    "forecast",
-    "pairs",
-]

@@ -10,7 +10,6 @@ from calrig.calibration.separation.map_validity import MapCheck, checked
 from calrig.calibration.separation.messages import advised
 from calrig.calibration.separation.pose_table import MountedPoses, Table, are_whole
 from calrig.calibration.separation.report import (
-    Value,
     WholeUnit,
     accelerometer_document,
     gyro_document,
@@ -35,41 +34,3 @@ from calrig.calibration.separation.stage_map import (
     with_map,
 )
 from calrig.calibration.separation.unit_results import ElevationUncertainty, Frame
-
-__all__ = [
-    "CHECKED_ORDERS",
-    "FACES",
-    "MAP_SCHEMA",
-    "ElevationUncertainty",
-    "Frame",
-    "MapCheck",
-    "MapError",
-    "MountedPoses",
-    "Solution",
-    "StageMap",
-    "Table",
-    "Value",
-    "WholeUnit",
-    "accelerometer_document",
-    "advised",
-    "are_whole",
-    "beyond_in_words",
-    "calibrate_by_gravity",
-    "checked",
-    "dial_of",
-    "gravity_document",
-    "gyro_document",
-    "in_words",
-    "level_document",
-    "local_document",
-    "map_document",
-    "map_reference",
-    "mapped",
-    "parameters_of",
-    "pose_residuals",
-    "solution_document",
-    "solve",
-    "uncertainty_document",
-    "whole_units",
-    "with_map",
-]

@@ -33,18 +33,6 @@ from calrig.calibration.static_detector import outlier_limit, static_poses
 from calrig.calibration.static_segments import GravityError, StaticPoses, step_of
 from calrig.estimation.angles import AXES, FloatArray
 
-__all__ = [
-    "EFFECTS",
-    "Gravity",
-    "GravityError",
-    "Problem",
-    "calibrate_by_gravity",
-    "fit_gravity",
-    "gravity_document",
-    "search",
-    "trace_gravity",
-]
-
 BOOTSTRAPS = 999
 SEED = 0
 NEAR_1_G = (0.75, 1.25)

@@ -321,9 +321,5 @@ def pose_residuals(solution: Solution) -> dict[str, list[Any]]:
     }
     return {
         "mount": table.mount[fit.kept].tolist(),
-        **{name: _rounded(values[fit.kept]) for name, values in columns.items()},
+        **{name: [round(v, DECIMALS) for v in of[fit.kept].tolist()] for name, of in columns.items()},
     }
-
-
-def _rounded(values: FloatArray) -> list[float]:
-    return [round(value, DECIMALS) for value in values.tolist()]

@@ -19,7 +19,7 @@ import numpy as np
 from calrig.calibration.effects import effect_of
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ApplyError
-from calrig.calibration.results import build_result, numbers_of, own_effect
+from calrig.calibration.results import build_result
 from calrig.calibration.separation import MountedPoses, dial_of, solve, with_map
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
@@ -27,7 +27,8 @@ from calrig.export.archive.opened import DamagedError, Opened, opened
 from calrig.export.calibration_document import SCHEMA, calibration_content
 from calrig.export.poses_csv import read_poses
 from calrig.export.solution_documents import unit_documents
-from calrig.store.records import AcceptedEffect, Document, doubt_of, filtering_of, map_of
+from calrig.model.run import mount_axis
+from calrig.store.records import AcceptedEffect, Document, as_applied, doubt_of, filtering_of, map_of
 from calrig.store.trail import FIRST, is_chained
 
 Read = Callable[[str], bytes | None]
@@ -205,14 +206,8 @@ def differences(
     if in_force is not None and in_force.covers(dial_of(counted)[0]).all():
         counted = with_map(counted, in_force)
         accepted = [effect for effect in accepted if effect.unit is not None]  # the rig's are in the map
-    applied = [
-        own_effect(effect.name, effect.parameters)
-        if effect.unit is not None
-        else (effect.name, numbers_of(effect.parameters))
-        for effect in accepted
-    ]
     with np.errstate(all="ignore"):
-        result = build_result(counted, None, applied, doubt=doubt_of(accepted))
+        result = build_result(counted, None, as_applied(accepted), doubt=doubt_of(accepted))
         if result.scale is None:
             yield "its poses give no scale"
             return
@@ -250,7 +245,7 @@ def solution_differences(
     for run_id in basis["runs"]:
         run, poses, indices = run_of(run_id)
         plan = run["plan"] or {}
-        axis = str((run["plan"] or run["provenance"]).get("mount_axis", "x"))
+        axis = mount_axis(run["plan"], run["provenance"])
         if axis != "x":
             raise NotRefitted("its joint solution is of units clamped by several faces")
         counted = _counted(run, poses, indices, map(int, run["poses"]["excluded"]))

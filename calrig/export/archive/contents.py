@@ -159,7 +159,7 @@ class _Contents:
         issued = self._store.trail.entries(
             unit=self._unit, what=["certificate_issued"], limit=MOST_CERTIFICATES
         )
-        numbers = [entry.act.detail["number"] for entry in issued if entry.seq <= newest]
+        numbers = [entry.detail["number"] for entry in issued if entry.seq <= newest]
         for name, content in self._certificates(numbers):
             yield Member(name, [content])
         yield Member(layout.TRAIL, self._entries(newest))

@@ -228,9 +228,9 @@ def certificate_of(sources: Sources, issue: Issue | None = None) -> Certificate:
     came_with = None if sources.came_with is None else sources.came_with.document
     measured = Measured(counted, document, came_with, sources.of_stage)
     budget = budget_of(document, reference, freedom)
-    released = next((one for one in reversed(sources.entries) if one.act.what == "released"), None)
+    released = next((one for one in reversed(sources.entries) if one.what == "released"), None)
     last = sources.entries[-1] if sources.entries else None
-    mark = None if last is None else TrailMark(last.seq, last.at, last.act.what, last.act.who, last.sha256)
+    mark = None if last is None else TrailMark(last.seq, last.at, last.what, last.who, last.sha256)
     made = Certificate(
         number="",
         issue=issue,
@@ -368,13 +368,13 @@ def _conformity(revision: Revision, limit: Limit | None) -> Conformity | None:
 def _authorised(laboratory: LaboratorySettings, revision: Revision, released: Entry | None) -> str | None:
     if laboratory.authorised_by is not None or released is None or released.at == revision.issued_at:
         return laboratory.authorised_by
-    return released.act.who
+    return released.who
 
 
 def _releaser(revision: Revision, released: Entry) -> str | None:
     """Who put it in force; what came into force as it was made did so by its rig's `release`."""
     if released.at != revision.issued_at:
-        return released.act.who
+        return released.who
     is_imported = "imported_from" in revision.document["provenance"]
     return f"the release rule {'for imports' if is_imported else 'of its rig'}"
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.effects import effect_of
-from calrig.calibration.line import fit_line, residuals_deg, rms
+from calrig.calibration.line import fit_line, rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ORIGINS, ApplyError, Origin
 from calrig.calibration.results import (
@@ -89,8 +89,7 @@ class Measured:
             if effects:
                 one_angle = len({pose.target_deg for pose in self.poses}) == 1
                 plain = fit_line(theta, reading, one_angle=one_angle)
-            left_deg = residuals_deg(theta, reading, plain.bias_deg, plain.scale)
-            steps.append(_step("Plain fit of bias and scale", left_deg))
+            steps.append(_step("Plain fit of bias and scale", plain.left_deg(theta, reading)))
         for k, (name, _) in enumerate(effects, 1):
             is_last = k == len(effects) or is_solved
             left = self._by(self.document, effects[:k]) if is_last else self._by_own_line(effects[:k])

@@ -71,7 +71,9 @@ def pdf_of(
     with TemporaryDirectory(prefix="calrig-certificate-") as folder:
         place = Path(folder)
         sheet["logo"] = _logo(laboratory.logo, place)
-        sheet["attached"] = [_without_content(one) for one in attached]
+        sheet["attached"] = [
+            {key: value for key, value in asdict(one).items() if key != "content"} for one in attached
+        ]
         (place / "sheet.json").write_text(json.dumps(sheet, ensure_ascii=False), encoding="utf-8")
         (place / "residuals.svg").write_text(residuals_svg, encoding="utf-8")
         for one in attached:
@@ -82,10 +84,6 @@ def pdf_of(
     if said.issue is None or key is None or certificate is None:
         return made
     return signed_pdf(made, Path(key), Path(certificate))
-
-
-def _without_content(attached: Attached) -> dict[str, str]:
-    return {key: value for key, value in asdict(attached).items() if key != "content"}
 
 
 def _logo(logo: str | None, place: Path) -> str | None:

@@ -22,12 +22,13 @@ from repository import SHARED
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calrig.calibration.gravity_fit import EFFECTS, Problem, fit_gravity
 from calrig.calibration.poses import Pose
-from calrig.calibration.separation.gravity import EFFECTS, Problem, fit_gravity
 from calrig.calibration.separation.pose_table import MountedPoses
 from calrig.calibration.separation.solution import solve
 from calrig.calibration.separation.unit_results import accelerometer
-from calrig.calibration.static_detector import StaticPoses, static_poses
+from calrig.calibration.static_detector import static_poses
+from calrig.calibration.static_segments import StaticPoses
 from calrig.export.static_csv import accel_g_of, read_static
 
 from .cube import ACCEL, MEANS, MOVES, CubeBench, Seat, drawn_cube_bench

@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from calrig.instruments.boards.calrig.packets import BAUDRATE, IDENTITY, PacketDecoder
-from calrig.instruments.device import BoardDevice, Identity, Probe
-
-if TYPE_CHECKING:
-    from calrig.instruments.boards.calrig.driver import CalrigBoard
-
-
-def _open(url: str, *, baudrate: int | None) -> CalrigBoard:
-    from calrig.instruments.boards.calrig.driver import CalrigBoard
-
-    return CalrigBoard.open(url, baudrate=baudrate)
+from calrig.instruments.device import BoardDevice, Identity, Probe, opened_by
 
 
 def _identities(heard: bytes) -> list[str]:
@@ -48,7 +38,7 @@ DEVICE = BoardDevice(
     driver="calrig",
     title="calrig's own sketch, or anything that speaks its packets",
     baudrate=BAUDRATE,
-    opens=_open,
+    opens=opened_by(f"{__name__}.driver"),
     may_stay_open=True,
     probes=(
         Probe(

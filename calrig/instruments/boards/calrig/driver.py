@@ -20,6 +20,7 @@ from calrig.instruments.boards.calrig.packets import ACKNOWLEDGE, BAUDRATE, IDEN
 from calrig.instruments.boards.calrig.words import USELESS, read_identity, text_of, why_none, why_useless
 from calrig.instruments.boards.reader import ReadBoard
 from calrig.instruments.cancellation import raise_if_cancelled
+from calrig.instruments.device import OpenBoard
 from calrig.instruments.errors import BoardError, PortError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.types import GAP_PERIODS, BoardIdentity, Samples
@@ -452,3 +453,6 @@ class CalrigBoard(ReadBoard):
         why = why_useless(since, went_on=went_on, reads_zero=self._stream.reads_zero)
         words = f"; its last words were {self._last_words!r}" if self._last_words else ""
         raise BoardError(f"{self._name} has sent no usable sample for {useless_s:.1f} s: {why}{words}")
+
+
+OPENS: OpenBoard = CalrigBoard.open

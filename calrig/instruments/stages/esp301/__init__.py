@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Probe, StageDevice
-
-if TYPE_CHECKING:
-    from calrig.instruments.stages.esp301.driver import Esp301
+from calrig.instruments.device import Identity, Probe, StageDevice, opened_by
 
 BAUDRATE = 19200
 VERSION = re.compile(r"ESP30\d\b.*")
-
-
-def _open(url: str, *, axis: int, baudrate: int | None) -> Esp301:
-    from calrig.instruments.stages.esp301.driver import Esp301
-
-    return Esp301.open(url, axis=axis, baudrate=baudrate)
 
 
 DEVICE = StageDevice(
     driver="esp301",
     title="Newport ESP301",
     baudrate=BAUDRATE,
-    opens=_open,
+    opens=opened_by(f"{__name__}.driver"),
     probes=(
         Probe(
             BAUDRATE,

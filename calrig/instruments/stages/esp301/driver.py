@@ -14,6 +14,7 @@ import re
 from itertools import cycle
 
 from calrig.instruments.cancellation import raise_if_cancelled
+from calrig.instruments.device import OpenStage
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port
 from calrig.instruments.stages.esp301 import BAUDRATE
@@ -270,3 +271,6 @@ def error_words(code: int) -> str:
     """A code of `TE?` with what it means; an axis's own is 100 times the axis and a number."""
     known = AXIS_ERRORS.get(code % 100) if code >= 100 else ERRORS.get(code)
     return f"{known or 'an error this driver does not know'} (error {code})"
+
+
+OPENS: OpenStage = Esp301.open

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Probe, StageDevice
+from calrig.instruments.device import Identity, Probe, StageDevice, opened_by
 from calrig.instruments.stages.grbl.protocol import (
     BANNER,
     BAUDRATE,
@@ -15,15 +14,6 @@ from calrig.instruments.stages.grbl.protocol import (
     parse_report,
 )
 from calrig.instruments.stages.grbl.settings import general_warnings
-
-if TYPE_CHECKING:
-    from calrig.instruments.stages.grbl.driver import Grbl
-
-
-def _open(url: str, *, axis: int, baudrate: int | None) -> Grbl:
-    from calrig.instruments.stages.grbl.driver import Grbl
-
-    return Grbl.open(url, axis=axis, baudrate=baudrate)
 
 
 def _matches(line: str) -> bool:
@@ -46,7 +36,7 @@ DEVICE = StageDevice(
     driver="grbl",
     title="an Arduino with a stepper shield and GRBL 1.1, a rotary table on one of its axes",
     baudrate=BAUDRATE,
-    opens=_open,
+    opens=opened_by(f"{__name__}.driver"),
     probes=(
         Probe(
             BAUDRATE,

@@ -29,6 +29,7 @@ from collections import Counter
 from typing import Self
 
 from calrig.instruments import standstill
+from calrig.instruments.device import OpenStage
 from calrig.instruments.errors import InstrumentError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.grbl.link import RESET, STOP, GrblLink
@@ -483,3 +484,6 @@ class Grbl:
                 self._require_ok("$X", self._link.command("$X"))
                 return
         self._count.lose("its count changed in a soft limit alarm")
+
+
+OPENS: OpenStage = Grbl.open

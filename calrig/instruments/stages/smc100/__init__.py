@@ -4,22 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Probe, StageDevice
-
-if TYPE_CHECKING:
-    from calrig.instruments.stages.smc100.driver import Smc100
+from calrig.instruments.device import Identity, Probe, StageDevice, opened_by
 
 BAUDRATE = 57600
 LIMIT = re.compile(r"1SL\s*[-+]?\d+(?:\.\d*)?(?:[Ee][-+]?\d{1,2})?")
 VERSION = re.compile(r"1VE\s*(\S.*)")
-
-
-def _open(url: str, *, axis: int, baudrate: int | None) -> Smc100:
-    from calrig.instruments.stages.smc100.driver import Smc100
-
-    return Smc100.open(url, axis=axis, baudrate=baudrate)
 
 
 def _identity(lines: Sequence[str]) -> Identity:
@@ -31,7 +21,7 @@ DEVICE = StageDevice(
     driver="smc100",
     title="Newport SMC100",
     baudrate=BAUDRATE,
-    opens=_open,
+    opens=opened_by(f"{__name__}.driver"),
     probes=(
         Probe(
             BAUDRATE,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 
 from calrig.instruments.cancellation import raise_if_cancelled
+from calrig.instruments.device import OpenStage
 from calrig.instruments.errors import StageError
 from calrig.instruments.ports import Port
 from calrig.instruments.stages.newport import ATTEMPTS, REPLY_TIMEOUT_S, NewportStage, Refusal
@@ -205,3 +206,6 @@ class Smc100(NewportStage):
 
     def _drop(self, line: str) -> None:
         self.faults["late_reply" if ANY_REPLY.fullmatch(line) else "unparsed"] += 1
+
+
+OPENS: OpenStage = Smc100.open

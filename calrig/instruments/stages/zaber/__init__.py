@@ -4,21 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from calrig.instruments.device import Identity, Probe, StageDevice
-
-if TYPE_CHECKING:
-    from calrig.instruments.stages.zaber.driver import Zaber
+from calrig.instruments.device import Identity, Probe, StageDevice, opened_by
 
 BAUDRATE = 115200
 REPLY = re.compile(r"@(\d{2}) 0 OK (?:IDLE|BUSY) (?:--|[A-Z]{2}) (\d+(?:\.\d+)*)(?::[0-9A-F]{2})?")
-
-
-def _open(url: str, *, axis: int, baudrate: int | None) -> Zaber:
-    from calrig.instruments.stages.zaber.driver import Zaber
-
-    return Zaber.open(url, axis=axis, baudrate=baudrate)
 
 
 def _identity(lines: Sequence[str]) -> Identity:
@@ -36,7 +26,7 @@ DEVICE = StageDevice(
     driver="zaber",
     title="Zaber rotary stages, through the maker's library: `pip install 'calrig[zaber]'`",
     baudrate=BAUDRATE,
-    opens=_open,
+    opens=opened_by(f"{__name__}.driver"),
     probes=(
         Probe(
             BAUDRATE,

@@ -17,6 +17,7 @@ from typing import Any, Self
 
 from calrig.instruments import standstill
 from calrig.instruments.cancellation import raise_if_cancelled
+from calrig.instruments.device import OpenStage
 from calrig.instruments.errors import Halted, InstrumentError, PortError, StageError
 from calrig.instruments.ports import Port, open_port
 from calrig.instruments.stages.lines import LineWire, unanswered
@@ -308,3 +309,6 @@ def _library() -> Any:
 def flag_words(flags: list[str]) -> str:
     """The flags with what they mean."""
     return ", ".join(f"{flag} {FLAGS.get(flag, 'a flag this driver does not know')}" for flag in flags)
+
+
+OPENS: OpenStage = Zaber.open
