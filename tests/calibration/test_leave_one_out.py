@@ -58,3 +58,12 @@ def test_a_name_that_had_rivals_before_keeps_them_and_gets_no_others() -> None:
     of = {c.name: c for c in candidates_of(r) if c.named}
     before = SelectedEffect(of["settling"], (of["backlash"],), 0.001, 1.0, runners_up=(of["backlash"],))
     assert standing_without_one(r, [before]) == (before,)
+
+
+def test_in_some_of_the_poses_all_that_an_effect_may_be_has_those_alone() -> None:
+    r = run_of(even_steps())
+    of = {c.name: c for c in candidates_of(r) if c.named}
+    others = dict.fromkeys(("rivals", "runners_up", "alike"), (of["backlash"],))
+    fewer = SelectedEffect(of["settling"], p_value=0.001, lead=1.0, **others).rows(np.arange(20))
+    those = [fewer.candidate, *fewer.rivals, *fewer.runners_up, *fewer.alike]
+    assert [len(c.columns) for c in those] == [20] * 4

@@ -18,21 +18,3 @@ from calrig.calibration.diagnosis.report import (
 )
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.tracing import diagnose, trace
-
-__all__ = [
-    "DrawnResiduals",
-    "Findings",
-    "FollowUp",
-    "Growth",
-    "JointEffects",
-    "PartialResidual",
-    "RunOfEffects",
-    "SequentialTest",
-    "design",
-    "diagnose",
-    "drawn_residuals",
-    "fit_together",
-    "held_out_growth",
-    "partial_residuals",
-    "trace",
-]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -99,20 +100,19 @@ class SelectedEffect:
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> SelectedEffect:
         """Return the same in some of the poses."""
-        candidate = self.candidate.rows(chosen)
-        rivals, runners_up = (
-            tuple(c.rows(chosen) for c in those) for those in (self.rivals, self.runners_up)
-        )
-        return replace(self, candidate=candidate, rivals=rivals, runners_up=runners_up)
+        return self._with_each(lambda candidate: candidate.rows(chosen))
 
     def at_elevations_of(self, r: Responses) -> SelectedEffect:
         """With columns at the elevations of these poses, where a delay made them at earlier ones."""
-        own = at_its_elevations(r, self.candidate)
+        return self._with_each(partial(at_its_elevations, r))
+
+    def _with_each(self, changed: Callable[[Candidate], Candidate]) -> SelectedEffect:
         rivals, runners_up, alike = (
-            tuple(at_its_elevations(r, c) for c in those)
-            for those in (self.rivals, self.runners_up, self.alike)
+            tuple(map(changed, those)) for those in (self.rivals, self.runners_up, self.alike)
         )
-        return replace(self, candidate=own, rivals=rivals, runners_up=runners_up, alike=alike)
+        return replace(
+            self, candidate=changed(self.candidate), rivals=rivals, runners_up=runners_up, alike=alike
+        )
 
     def against(self, rival: Candidate, doubt: str) -> SelectedEffect:
         """With one rival more, and why."""

@@ -22,23 +22,3 @@ from calrig.calibration.regression.request import (
     DiagnosisRequest,
 )
 from calrig.calibration.regression.terms import MG, c_literal
-
-__all__ = [
-    "ASSUMED",
-    "LONGEST_PERIOD_DEG",
-    "MG",
-    "MOST_PERIODS",
-    "ORIGINS",
-    "TEMPERATURE",
-    "ApplyError",
-    "AssumedReference",
-    "Circumstances",
-    "DiagnosisRequest",
-    "Effect",
-    "NotInFlight",
-    "Origin",
-    "Parameters",
-    "Scope",
-    "VectorInC",
-    "c_literal",
-]
