@@ -374,11 +374,20 @@ def _search_one_run(
     r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
     judge = partial(judge, noise=_noise_left_by(between))
     again = _search(r, curves, judge, between.found, rivals, noises)
-    again = _with_curves(again, [c.rows(again.kept) for c in curves], len(between.found))
+    kept, curves = again.kept, [c.rows(again.kept) for c in curves]
+    bent = _with_curves(again, curves, len(between.found))
+    if not _are_same(bent.found, again.found):  # beside a curve more may be seen
+        known, begun = bent.found[: len(between.found)], bent.found[len(between.found) :]
+        more = _search(bent.responses, curves, judge, known, rivals, noises, begun)
+        again, kept = replace(more, noises={**more.noises, **again.noises}), kept[more.kept]
     drawn = {**again.noises, **between.noises, **first.noises}
     first = replace(first, noises=drawn)
-    again = replace(again, kept=first.kept[between.kept][again.kept], noises=drawn)
+    again = replace(again, kept=first.kept[between.kept][kept], noises=drawn)
     return again if len(again.kept) == len(first.kept) and _criterion(again) < _criterion(first) else first
+
+
+def _are_same(found: Sequence[SelectedEffect], others: Sequence[SelectedEffect]) -> bool:
+    return {_place_of(f.candidate) for f in found} == {_place_of(f.candidate) for f in others}
 
 
 def _with_curves(findings: Findings, candidates: Sequence[Candidate], known: int) -> Findings:
@@ -453,8 +462,11 @@ def _search(
     known: Sequence[SelectedEffect] = (),
     rivals: Rivals | None = None,
     noises: Noises = MappingProxyType({}),
+    begun: Sequence[SelectedEffect] = (),
 ) -> Findings:
     """Search in one base, with the `known` effects in the model from the start; `judge` tests significance.
+
+    So are those `begun` with, which need not stay.
 
     In each round the model is fitted and all candidates are tested. An outlier is left out; else the best
     significant candidate enters and all effects are reselected; inadmissible or needless ones leave. The
@@ -462,7 +474,7 @@ def _search(
     each other in turn, the same would come for ever. Outside a fold, all effects are compared thoroughly
     before it ends.
     """
-    found = list(known)
+    found = [*known, *begun]
     judged = _Judge(judge, candidates, noises)
     refused = judged.refused
     kept, fewest = np.arange(len(r)), len(r) - most_outliers(len(r))
