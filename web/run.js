@@ -165,9 +165,9 @@ class RunPage {
 
   /** Reads the run after its end, or after a lost connection; closes the stream if it has ended. */
   async #caughtUp(stream, timeline) {
+    this.error.say(null); // and not after the answer: by then something else may have been refused
     try {
       await this.#reread(true);
-      this.error.say(null);
       if (!this.ended) return;
       stream.stop();
       timeline.stop();

@@ -62,3 +62,23 @@ def test_who_resumes_a_run_says_where_a_stage_without_homing_stands(
     resume.click()
     expect(page.locator("#status")).to_have_text("completed")
     expect(field).to_have_count(0)
+
+
+def test_what_is_refused_stays_said_while_the_page_reads_the_run_after_an_attempt_before(
+    page: Any, client: Any, killed: tuple[str, float], expect: Any, forgiven: list[str]
+) -> None:
+    forgiven.append("422")
+    run_id, _ = killed
+    page.goto(f"{client.base_url}/#/runs/{run_id}")
+    expect(page.locator("#stage-at-why")).to_contain_text("no homing")
+    readings: list[Any] = []
+    page.route(f"**/api/runs/{run_id}", lambda reading: readings.append(reading))  # noqa: PLW0108 (Playwright marks it)
+    page.locator("#resume-interrupted").click()
+    wait_for(lambda: page.evaluate("1") and readings, "reading of the run")
+    page.get_by_label("The stage stands at, °").fill("4000")
+    page.locator("#resume-interrupted").click()
+    expect(page.locator("#view")).to_contain_text("at most 360")
+    with page.expect_response(f"**/api/runs/{run_id}/poses"):
+        for reading in readings:
+            reading.continue_()
+    expect(page.locator("#view")).to_contain_text("at most 360", timeout=2000)
