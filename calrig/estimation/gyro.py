@@ -76,19 +76,19 @@ def _without_outliers(rate_dps: FloatArray) -> FloatArray:
     return np.concatenate([blocks[~outlying].ravel(), rest]) if outlying.any() else rate_dps
 
 
-def run_bias(dwells: list[GyroBias]) -> GyroBias:
+def run_bias(bias_dps: FloatArray) -> GyroBias:
     """Return the bias of a run: the mean of its dwells' means.
 
     Its standard error comes from the scatter between dwells, so that a bias that wanders in the run makes it
-    larger; a single dwell passes its own on.
+    larger; a single dwell tells none.
+
+    `bias_dps` (k, 3) are the biases of its dwells; NaN where one is not known.
     """
-    if len(dwells) == 1:
-        return dwells[0]
-    means, errors = [], []
-    for axis in range(3):
-        known = [bias for dwell in dwells if (bias := dwell.bias_dps[axis]) is not None]
-        means.append(float(np.mean(known)) if known else math.nan)
-        errors.append(float(np.std(known, ddof=1)) / math.sqrt(len(known)) if len(known) > 1 else math.nan)
+    known = [axis[np.isfinite(axis)] for axis in bias_dps.T]
+    means = [float(np.mean(axis)) if len(axis) else math.nan for axis in known]
+    errors = [
+        float(np.std(axis, ddof=1)) / math.sqrt(len(axis)) if len(axis) > 1 else math.nan for axis in known
+    ]
     return GyroBias(_known(means), _known(errors))
 
 

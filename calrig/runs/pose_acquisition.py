@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from array import array
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import InitVar, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,13 +39,13 @@ FULL_SCALE = 0.98
 
 
 class MoveMonitor:
-    """What the unit has felt of a run's moves. `moves` pairs the stage's turn with the gyro's, degrees.
+    """What the unit has felt of a run's moves: `turned_deg` by the stage, `felt_deg` by the gyro, in pairs.
 
     `axis` is which of the unit's lies along the stage's; reversed, the unit turns against it.
     """
 
     def __init__(self, poses: list[Pose], gyro_range_dps: int | None, axis: str = "x") -> None:
-        self.moves: list[tuple[float, float]] = []
+        self.turned_deg, self.felt_deg = array("d"), array("d")
         self._range_dps = gyro_range_dps
         self._watch = MoveWatch()
         self._axis, self._sense = axis, -1 if axis.startswith("-") else 1
@@ -98,7 +102,8 @@ class MoveMonitor:
     def _note(self, now: Pose, turned_deg: float | None, check: MoveCheck | None) -> None:
         """A move that was not what the stage says is none to learn the gyro's scale from."""
         if now.gyro_move_deg is not None and turned_deg is not None and check and check.verdict == "agrees":
-            self.moves.append((self._sense * turned_deg, now.gyro_move_deg))
+            self.turned_deg.append(self._sense * turned_deg)
+            self.felt_deg.append(now.gyro_move_deg)
 
 
 def told(index: int, pose: Pose, check: MoveCheck) -> tuple[str, dict[str, Any]]:
@@ -135,16 +140,28 @@ class OwnGyro:
 
     Attributes:
         along: which axis lies along the stage's, 0 to 2.
-        biases: from each dwell.
+        last: the biases of the last two dwells.
+        means_dps: those of all, x, y and z in turn, NaN where not known: packed, for a run may take weeks.
     """
 
     along: int
-    biases: list[GyroBias] = field(default_factory=list)
+    earlier: InitVar[Sequence[GyroBias]] = ()
+    last: deque[GyroBias] = field(default_factory=partial(deque, maxlen=2))
+    means_dps: array[float] = field(default_factory=lambda: array("d"))
+
+    def __post_init__(self, earlier: Sequence[GyroBias]) -> None:
+        for bias in earlier:
+            self._take(bias)
 
     def dwelt(self, dwell: Samples) -> float | None:
         """Takes a dwell; standard error of its bias about the stage's axis."""
-        self.biases.append(dwell_bias(dwell.gyro_dps))
-        return self.biases[-1].bias_std_dps[self.along]
+        bias = dwell_bias(dwell.gyro_dps)
+        self._take(bias)
+        return bias.bias_std_dps[self.along]
+
+    def _take(self, bias: GyroBias) -> None:
+        self.last.append(bias)
+        self.means_dps.extend(math.nan if axis is None else axis for axis in bias.bias_dps)
 
     def felt_deg(
         self, move: Samples, period_s: float, lasts_s: float, axis: int | None = None
@@ -158,23 +175,23 @@ class OwnGyro:
 
     def bias_beside_dps(self, axis: int) -> float | None:
         """The mean bias of the last two dwells; None where they do not tell."""
-        return _mean_dps(self.biases[-2:], axis)
+        return _mean_dps(self.last, axis)
 
     def bias_with_dps(self, dwell: Samples) -> float:
         """About the stage's axis, the mean of the last dwell and of one that has not been taken yet."""
-        biases = [*self.biases[-1:], dwell_bias(dwell.gyro_dps)]
-        return _mean_dps(biases, self.along) or 0.0
+        beside = [*self.last, dwell_bias(dwell.gyro_dps)][-2:]
+        return _mean_dps(beside, self.along) or 0.0
 
     def felt_about_axes_deg(self, move: Samples, period_s: float, lasts_s: float) -> dict[str, float | None]:
         """The turns over the move into the last dwell about each axis, as a pose's covariates."""
         return {name: self.felt_deg(move, period_s, lasts_s, axis) for axis, name in enumerate(GYRO_MOVES)}
 
-    def figures(self, moves: list[tuple[float, float]]) -> Gyro:
-        """What dwells and moves say; `moves` pairs what the unit turned with what it felt, degrees."""
-        if not self.biases:
+    def figures(self, turned_deg: Sequence[float], felt_deg: Sequence[float]) -> Gyro:
+        """What dwells and moves say: what the unit turned with each move, and what it felt."""
+        if not self.last:
             return UNKNOWN_GYRO
-        bias = run_bias(self.biases)
-        turned_deg, felt_deg = zip(*moves, strict=True) if moves else ((), ())
+        means_dps = np.frombuffer(self.means_dps).reshape(-1, 3)
+        bias = self.last[0] if len(means_dps) == 1 else run_bias(means_dps)
         scale = gyro_scale(turned_deg, felt_deg)
         return Gyro(
             bias_dps=list(bias.bias_dps),
@@ -184,7 +201,7 @@ class OwnGyro:
         )
 
 
-def _mean_dps(biases: list[GyroBias], axis: int) -> float | None:
+def _mean_dps(biases: Iterable[GyroBias], axis: int) -> float | None:
     known = [bias_dps for bias in biases if (bias_dps := bias.bias_dps[axis]) is not None]
     return sum(known) / len(known) if known else None
 
@@ -221,7 +238,7 @@ class PoseAcquisition:
     def __post_init__(self) -> None:
         self.rig, self.recorder = self.pace.rig, self.pace.recorder
         self.poses = list(self.earlier.poses)
-        self.gyro = OwnGyro(AXES.index(self.plan.mount_axis[-1]), list(self.earlier.biases))
+        self.gyro = OwnGyro(AXES.index(self.plan.mount_axis[-1]), self.earlier.biases)
         self.felt = MoveMonitor(self.poses, self.rig.board_identity.gyro_range_dps, self.plan.mount_axis)
         self.noise = KalmanNoise(**self.rig.settings.filter.model_dump())
         self.filtering = filtering_of(self.rig.provenance(), self.plan.model_dump())

@@ -169,7 +169,7 @@ class RunExecution:
         Neither, where all of the poses were excluded meanwhile, or the unit turned about another axis than
         its x: what it read is no elevation, and for the joint solution alone.
         """
-        run, gyro = self._task.run, taking.gyro.figures(taking.felt.moves)
+        run, gyro = self._task.run, taking.gyro.figures(taking.felt.turned_deg, taking.felt.felt_deg)
         stored = self._store.poses.of(self._task.run.id)
         poses = [one.pose for one in stored if one.excluded is None]
         self.fields["result"] = None

@@ -19,6 +19,7 @@ from calrig.estimation.gyro import (
     run_bias,
 )
 from calrig.instruments.axis import travel_time_s
+from calrig.runs.pose_acquisition import OwnGyro
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 
@@ -66,18 +67,21 @@ def test_a_dwell_of_a_few_samples_has_a_bias_without_an_error():
 
 
 def test_a_runs_bias_feels_what_wanders_between_dwells():
-    dwells = [GyroBias((x, 0.0, None), (1e-6, 1e-6, None)) for x in (1.0, 1.2, 1.4)]
-
-    bias = run_bias(dwells)
+    bias = run_bias(np.array([[x, 0.0, np.nan] for x in (1.0, 1.2, 1.4)]))
 
     assert bias.bias_dps == (pytest.approx(1.2), 0.0, None)
     assert bias.bias_std_dps == (pytest.approx(0.2 / math.sqrt(3)), 0.0, None)
 
 
-def test_a_run_of_one_dwell_has_that_dwells_bias_and_a_run_of_none_has_none():
+def test_one_dwell_tells_no_scatter_and_none_tell_no_bias():
+    assert run_bias(np.array([[1.0, 2.0, 3.0]])) == GyroBias((1.0, 2.0, 3.0), (None, None, None))
+    assert run_bias(np.empty((0, 3))) == GyroBias((None, None, None), (None, None, None))
+
+
+def test_a_run_of_one_dwell_has_that_dwells_bias_and_its_error():
     only = GyroBias((1.0, 2.0, 3.0), (0.1, 0.1, 0.1))
-    assert run_bias([only]) == only
-    assert run_bias([]) == GyroBias((None, None, None), (None, None, None))
+    gyro = OwnGyro(0, [only]).figures([], [])
+    assert (tuple(gyro.bias_dps), tuple(gyro.bias_std_dps)) == (only.bias_dps, only.bias_std_dps)
 
 
 def test_a_move_is_the_integral_of_rate_less_bias_on_an_uneven_clock():
