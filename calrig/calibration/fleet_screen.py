@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.line import follows_stage
+from calrig.calibration.line import follows_stage, reading_error_deg
 from calrig.calibration.packed_poses import Intp, PackedPoses
 from calrig.calibration.regression.responses import FEWEST_POSES
 from calrig.estimation.angles import MAD_TO_STD, FloatArray, wrap_deg
@@ -156,7 +156,7 @@ class Lines:
     def residual_deg(self) -> FloatArray:
         """(R, n) what is left in degrees of elevation; NaN where the reading does not follow the stage."""
         factor = np.where(np.isnan(self.scale), 1.0, self.scale)
-        factor = np.where(follows_stage(factor, self.scale_std), factor, np.nan)
+        factor = np.where(follows_stage(factor, self.scale_std, self.rms_deg), factor, np.nan)
         return np.asarray(self.left_deg / factor[:, None])
 
     @property
@@ -177,8 +177,7 @@ def lines_of(poses: PackedPoses, theta_deg: FloatArray, rows: Intp) -> Lines:
     """
     theta = theta_deg[rows]
     given = {name: column[rows] for name, column in poses.columns.items()}
-    error = given["reading_deg"] - theta
-    error = error[:, :1] + wrap_deg(error - error[:, :1])  # all on the turn of the first
+    error = reading_error_deg(theta, given["reading_deg"])
     centre, level = theta.mean(axis=1), error.mean(axis=1)
     off = theta - centre[:, None]
     power = (off * off).sum(axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,11 @@ MIN_SCALE = 1e-6
 """A smaller one says that the reading does not follow the stage: there is nothing to divide by."""
 HALF, STDS = 0.5, 3.0
 """Nor does one that noise may have made: below a half, and within so many standard errors of 0."""
+FARTHEST_STD_DEG = 60.0
+"""Nor do readings that scatter by more about the line: modulo a turn, those at random scatter by 104°, and on
+which turn one of them is meant nobody knows."""
+OPPOSED = 0.1
+"""By how much more readings of a sensor that counts against the stage must agree on one direction."""
 
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 
@@ -44,7 +50,8 @@ class Line:
     @property
     def follows(self) -> bool:
         """Whether the reading follows the stage, so that errors of readings are errors of an elevation."""
-        return self.scale is None or bool(follows_stage(self.scale, self.scale_std or 0.0))
+        scale = 1.0 if self.scale is None else self.scale
+        return bool(follows_stage(scale, self.scale_std or 0.0, self.residual_std_deg or 0.0))
 
     def left_deg(self, theta_deg: FloatArray, reading_deg: FloatArray) -> FloatArray:
         """(n,) `residuals_deg` of readings; NaN throughout where they do not follow the stage."""
@@ -53,11 +60,13 @@ class Line:
         return residuals_deg(theta_deg, reading_deg, self.bias_deg, self.scale)
 
 
-def follows_stage(scale: npt.ArrayLike, scale_std: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Whether readings of these fitted scales follow the stage: more than noise may have made."""
+def follows_stage(
+    scale: npt.ArrayLike, scale_std: npt.ArrayLike, left_deg: npt.ArrayLike
+) -> npt.NDArray[np.bool_]:
+    """Whether readings of these fitted scales, which leave so much (RMS), follow the stage."""
     size = np.abs(scale)
     may_be_noise = size < np.minimum(HALF, np.multiply(STDS, scale_std))
-    return np.asarray((size >= MIN_SCALE) & ~may_be_noise)
+    return np.asarray((size >= MIN_SCALE) & ~may_be_noise & (np.asarray(left_deg) < FARTHEST_STD_DEG))
 
 
 def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False) -> Line:
@@ -113,13 +122,28 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
 
 
 def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatArray:
-    """Return (n,) reading − θ in degrees, within half a turn of the poses' common direction.
+    """Return (…, n) reading − θ in degrees, each reading on the turn on which it follows the others of its n.
 
-    Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there.
+    Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there,
+    and readings within half a turn of θ would tear those of a sensor that counts against the stage.
     """
-    error = wrap_deg(reading_deg - theta_deg)
-    common = np.degrees(np.angle(np.exp(1j * np.radians(error)).mean()))
-    return np.asarray(wrap_deg(error - common) + common, dtype=np.float64)
+    along, against = _about_common(reading_deg - theta_deg), _about_common(reading_deg + theta_deg)
+    is_opposed = against.agreement > along.agreement + OPPOSED
+    return np.where(is_opposed, against.angle_deg - 2.0 * theta_deg, along.angle_deg)
+
+
+class _Common(NamedTuple):
+    """Angles within half a turn of their common direction, and how far they agree on it, 0 to 1."""
+
+    angle_deg: FloatArray
+    agreement: FloatArray
+
+
+def _about_common(angle_deg: FloatArray) -> _Common:
+    within = np.asarray(wrap_deg(angle_deg))
+    mean = np.exp(1j * np.radians(within)).mean(axis=-1, keepdims=True)
+    common = np.degrees(np.angle(mean))
+    return _Common(np.asarray(wrap_deg(within - common) + common), np.abs(mean))
 
 
 def residuals_deg(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -257,7 +258,8 @@ def follows(theta: FloatArray, column: FloatArray) -> bool:
     if np.ptp(theta) == 0.0:
         return False
     error = reading_error_deg(theta, column)
-    counted = [column, theta + error] if np.ptp(error) < 2.0 * MOST_OFF_DEG else [column]
+    is_near = min(np.ptp(error), np.ptp(error + 2.0 * theta)) < 2.0 * MOST_OFF_DEG
+    counted = [column, theta + error] if is_near else [column]
     return any(np.ptp(one) > 0.0 and abs(np.corrcoef(theta, one)[0, 1]) > FOLLOWS for one in counted)
 
 
@@ -268,6 +270,11 @@ def same(a: FloatArray, b: FloatArray) -> bool:
     return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
 
 
+FEWEST_FOR_UNIT_DEG, STRAIGHT, MOST_PER_DEG = 5.0, 0.3, 2.5
+"""A unit shows over so many degrees, in readings that a straight line explains but for this share of their
+standard deviation; at a steeper slope they are no degrees."""
+
+
 def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
     """Raise DiagnosisError where the readings cannot be degrees of these elevations."""
     if np.ptp(theta) > 0.0 and np.ptp(reading) == 0.0:
@@ -275,11 +282,15 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
             f"the readings never change (they all are {reading[0]:g}) while the elevation turns by "
             f"{np.ptp(theta):g}°: look at reading_deg and at what fills it"
         )
-    if np.ptp(theta) < 5.0:
+    if np.ptp(theta) < FEWEST_FOR_UNIT_DEG:
         return
-    slope = float(np.polyfit(theta, reading, 1)[0])
-    if abs(abs(slope) * 180.0 / np.pi - 1.0) < 0.2:
+    slope, level = np.polyfit(theta, reading, 1).tolist()
+    if np.std(reading - level - slope * theta) > STRAIGHT * np.std(reading):
+        return  # it starts anew after a turn, or does not follow
+    told = f"the readings change by {slope:.4g} per degree of elevation: "
+    if abs(math.degrees(abs(slope)) - 1.0) < 0.2:
+        raise DiagnosisError(f"{told}they look like radians; convert reading_deg to degrees")
+    if abs(slope) > MOST_PER_DEG:
         raise DiagnosisError(
-            f"the readings change by {slope:.4f} per degree of elevation: they look like radians; "
-            "convert reading_deg to degrees"
+            f"{told}they look like counts, or a smaller unit; convert reading_deg to degrees"
         )

@@ -20,6 +20,7 @@ DoubtKind = Literal[
     "move_mismatch",  # the unit measured another rotation than the stage reported
     "missing_poses",  # poses of the plan were not measured
     "ambiguous_readings",  # some stand for two elevations, or the reading does not follow the stage
+    "odd_scale",  # a reading that is not in degrees, or counts against the stage
     "clamping",  # gravity finds the unit at another clamping angle than the plan's
     "changed",  # bias or scale moved by more than repeatability and remounting explain
     "residual",  # the residual is far larger than that of the calibration in force

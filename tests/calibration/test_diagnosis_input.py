@@ -223,6 +223,37 @@ def test_a_reading_in_radians_is_refused_with_what_to_do() -> None:
         diagnose([poses])
 
 
+@pytest.mark.parametrize("span_deg", [60.0, 360.0])
+def test_a_reading_in_counts_is_refused_with_what_to_do(span_deg: float) -> None:
+    theta = np.linspace(0.0, span_deg, 40)
+    with pytest.raises(DiagnosisError, match="counts, or a smaller unit; convert reading_deg"):
+        diagnose([run_of(theta, reading_deg=np.rint(theta / 360.0 * 2**14))])
+
+
+def test_counts_that_start_anew_are_not_taken_for_readings_of_a_turn() -> None:
+    theta = np.linspace(0.0, 360.0, 73)
+    with pytest.raises(DiagnosisError, match="not seen to follow the 360°"):
+        diagnose([run_of(theta, reading_deg=np.rint(theta / 360.0 * 2**14 + 5000.0) % 2**14)])
+
+
+@pytest.mark.parametrize("bias_deg", [-106.0, 102.0])
+def test_a_turn_whose_readings_start_anew_is_not_taken_for_radians(bias_deg: float) -> None:
+    """A straight line through such a sawtooth may have the slope of radians."""
+    theta = np.linspace(0.0, 358.0, 180)
+    noise = np.random.default_rng(1).normal(0.0, 0.02, len(theta))
+    wrapped = (theta + bias_deg + noise + 180.0) % 360.0 - 180.0
+    assert told(run_of(theta, reading_deg=wrapped))["verdict"] == "nothing"
+
+
+def test_an_order_of_a_sensor_that_counts_against_the_stage_is_found_and_no_step_of_a_turn() -> None:
+    theta = np.random.default_rng(1).uniform(0.0, 360.0, 100)
+    error = 0.2 * np.sin(np.radians(3.0 * theta)) + np.random.default_rng(2).normal(0.0, 0.02, 100)
+    said = told(run_of(theta, reading_deg=(12.0 - theta + error + 180.0) % 360.0 - 180.0))
+    assert [e["name"] for e in said["effects"]] == ["stage_periodic"]
+    assert said["effects"][0]["parameters"]["period_deg"]["value"] == pytest.approx(120.0, abs=0.5)
+    assert said["final"]["fit_rms_deg"] < 0.03
+
+
 @pytest.mark.parametrize("which", ["all", "some"])
 def test_a_reading_off_by_a_whole_turn_is_taken_on_the_stage_s_turn(which: str) -> None:
     poses = run_of(sweeps())

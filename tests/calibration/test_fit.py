@@ -113,6 +113,25 @@ def test_an_axis_turned_round_has_a_scale_of_minus_one():
     assert (line.bias_deg, line.scale) == pytest.approx((0.3, -1.0))
 
 
+@pytest.mark.parametrize("turns", [1, 3])
+@pytest.mark.parametrize("bias_deg", [0.0, 95.0, 179.0])
+def test_a_sensor_that_counts_against_the_stage_is_followed_over_the_ends_of_its_turns(bias_deg, turns):
+    theta_deg = np.linspace(0.0, turns * 360.0, 73)
+    reading_deg = (bias_deg - 1.002 * theta_deg + 180.0) % 360.0 - 180.0
+
+    line = fit_line(theta_deg, reading_deg)
+
+    assert (line.bias_deg, line.scale) == pytest.approx((bias_deg, -1.002))
+    assert line.follows
+
+
+def test_readings_at_random_on_a_turn_do_not_follow_the_stage_whatever_line_they_give():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        theta_deg = rng.uniform(0.0, 360.0, 60)
+        assert not fit_line(theta_deg, rng.uniform(-180.0, 180.0, 60)).follows
+
+
 def test_readings_that_do_not_follow_the_stage_leave_no_residual_to_state():
     line = fit_line(GRID_DEG, np.full(len(GRID_DEG), 3.0))
 

@@ -166,6 +166,16 @@ def test_a_stuck_sensor_that_makes_noise_has_no_calibrated_error_and_is_not_rele
     assert [doubt.kind for doubt in pose_doubts(result, 0)] == ["ambiguous_readings"]
 
 
+@pytest.mark.parametrize("factor", [math.pi / 180.0, 200.0 / 180.0, 60.0, -1.0])
+def test_a_reading_in_another_unit_or_sense_is_not_released_by_itself(factor):
+    poses = [Pose(t, factor * (t + 0.3)) for t in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+
+    result = build_result(poses)
+
+    of_degrees = factor == 200.0 / 180.0  # gradians: no more than a poor sensor may err
+    assert [doubt.kind for doubt in pose_doubts(result, 0)] == ([] if of_degrees else ["odd_scale"])
+
+
 def test_a_run_without_poses_has_no_result():
     with pytest.raises(ValueError, match="needs poses"):
         build_result([])

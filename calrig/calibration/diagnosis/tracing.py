@@ -30,7 +30,7 @@ from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, 
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.effects.unnamed import TIMES
-from calrig.calibration.line import MIN_SCALE, fit_line, residuals_deg, rms
+from calrig.calibration.line import FARTHEST_STD_DEG, MIN_SCALE, fit_line, residuals_deg, rms
 from calrig.calibration.poses import DiagnosisError, Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE
@@ -166,11 +166,12 @@ def _require_that_readings_follow(findings: Findings) -> None:
     """Raise DiagnosisError where the readings may be the same, or noise, at every elevation."""
     r = findings.responses
     line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
-    if abs(fitted_scale(r, findings.fitted.beta)) >= MIN_SCALE and (findings.found or line.follows):
+    explained = findings.found and rms(findings.fitted.residuals[:, 0]) < FARTHEST_STD_DEG
+    if abs(fitted_scale(r, findings.fitted.beta)) >= MIN_SCALE and (explained or line.follows):
         return
     raise DiagnosisError(
         f"the readings are not seen to follow the {np.ptp(r.theta_deg):.3g}° that the elevation turns: look "
-        "at reading_deg and at what fills it, or turn further"
+        "at reading_deg, at its unit and at what fills it, or turn further"
     )
 
 

@@ -21,6 +21,8 @@ ZERO_G_DEG = 4.6
 that a sound unit may have before it was ever calibrated."""
 REMOUNT_LIMIT_DEG = 1.0
 """As a rig's `remount_limit_deg` is by default: a hand clamps to a degree."""
+ODD_SCALE = 1.25
+"""No sensor of an angle in degrees errs by a larger factor, whichever way (an MPU-6050's axes by 3 %)."""
 STAYS_A_DRAFT = "So its calibration is not released by itself: a person decides, and gives a reason."
 """What a verdict says after its doubts."""
 COVERS = 2.0
@@ -99,12 +101,26 @@ def pose_doubts(result: Result, mismatches: int) -> list[Doubt]:
         found.append(
             Doubt(
                 "ambiguous_readings",
-                "The reading does not follow the stage: one reading, or noise, stands for every elevation.",
+                "The reading does not follow the stage: one reading, or noise, stands for every elevation, "
+                "or it is not in degrees.",
+            )
+        )
+    elif result.scale is not None and _is_odd(result.scale, result.scale_std):
+        found.append(
+            Doubt(
+                "odd_scale",
+                f"The reading changes by {result.scale:.4g}° per degree of elevation: it is not in degrees, "
+                "or unit and stage count in opposite senses (a rig's `sign`).".replace("-", "−"),
             )
         )
     if result.lost_says:
         found.append(Doubt("missing_poses", result.lost_says))
     return found
+
+
+def _is_odd(scale: float, scale_std: float | None) -> bool:
+    off = max(scale - ODD_SCALE, 1.0 / ODD_SCALE - scale)
+    return off > COVERS * (scale_std or 0.0)
 
 
 def clamping_doubts(
