@@ -270,6 +270,9 @@ def same(a: FloatArray, b: FloatArray) -> bool:
     return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
 
 
+FEWEST_AT_END, WIDER = 3, 3.0
+"""Elevations with the same highest or lowest reading, over so many times the arc that any other reading
+stands for, are beyond the end of the sensor's range."""
 FEWEST_FOR_UNIT_DEG, STRAIGHT, MOST_PER_DEG = 5.0, 0.3, 2.5
 """A unit shows over so many degrees, in readings that a straight line explains but for this share of their
 standard deviation; at a steeper slope they are no degrees."""
@@ -284,6 +287,7 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
         )
     if np.ptp(theta) < FEWEST_FOR_UNIT_DEG:
         return
+    _refuse_its_ends(theta, reading)
     slope, level = np.polyfit(theta, reading, 1).tolist()
     if np.std(reading - level - slope * theta) > STRAIGHT * np.std(reading):
         return  # it starts anew after a turn, or does not follow
@@ -294,3 +298,20 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
         raise DiagnosisError(
             f"{told}they look like counts, or a smaller unit; convert reading_deg to degrees"
         )
+
+
+def _refuse_its_ends(theta: FloatArray, reading: FloatArray) -> None:
+    """Raise DiagnosisError where the readings stop at their highest or lowest while the elevation goes on."""
+    values, which = np.unique(reading, return_inverse=True)
+    low, high = np.full(len(values), np.inf), np.full(len(values), -np.inf)
+    np.minimum.at(low, which, theta)
+    np.maximum.at(high, which, theta)
+    arcs = high - low
+    for end in (0, -1):
+        there = theta[reading == values[end]]
+        is_wide = arcs[end] > WIDER * arcs[1:-1].max(initial=0.0)
+        if is_wide and len(np.unique(there)) >= FEWEST_AT_END and 2 * len(there) < len(theta):
+            raise DiagnosisError(
+                f"the readings stop at {values[end]:g} from {low[end]:g}° to {high[end]:g}° ({len(there)} "
+                "poses): if the sensor's range ends there, leave these poses out"
+            )

@@ -98,7 +98,7 @@ class ReadingNoise(Model):
 class Errors(Model):
     """RMS error of a fit, on held-out poses between the others, and on contiguous blocks of poses."""
 
-    fit_rms_deg: float
+    fit_rms_deg: float | None  # null of a line that does not follow the stage
     held_out_rms_deg: float | None
     blocked_rms_deg: float | None = None  # null in diagnoses stored before it was measured
 

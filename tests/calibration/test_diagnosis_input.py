@@ -230,6 +230,26 @@ def test_a_reading_in_counts_is_refused_with_what_to_do(span_deg: float) -> None
         diagnose([run_of(theta, reading_deg=np.rint(theta / 360.0 * 2**14))])
 
 
+@pytest.mark.parametrize("step_deg", [0.0, 0.5])
+def test_a_sensor_whose_range_ends_before_the_stages_is_refused_with_where(step_deg: float) -> None:
+    poses = run_of(sweeps())
+    if step_deg:  # counts that each stand for several elevations are no end
+        poses = [replace(p, reading_deg=step_deg * round(p.reading_deg / step_deg)) for p in poses]
+    told(poses)  # is not refused
+    clipped = [replace(p, reading_deg=max(p.reading_deg, -40.0)) for p in poses]
+    with pytest.raises(DiagnosisError, match=r"stop at -40 from -60° to -4.° \(.* poses\)"):
+        diagnose([clipped])
+
+
+def test_what_follows_the_stage_only_with_its_effect_has_no_error_before_it() -> None:
+    theta = np.linspace(-60.0, 60.0, 49)
+    noise = np.random.default_rng(1).normal(0.0, 0.02, len(theta))
+    said = told(run_of(theta, reading_deg=np.abs(theta + noise)), cross_fit=True)
+    assert [e["name"] for e in said["effects"]] == ["unnamed"]
+    assert {said["base"][of] for of in ("fit_rms_deg", "held_out_rms_deg", "blocked_rms_deg")} == {None}
+    assert said["final"]["held_out_rms_deg"] < 0.03
+
+
 def test_counts_that_start_anew_are_not_taken_for_readings_of_a_turn() -> None:
     theta = np.linspace(0.0, 360.0, 73)
     with pytest.raises(DiagnosisError, match="not seen to follow the 360°"):

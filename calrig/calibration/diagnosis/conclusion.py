@@ -60,8 +60,12 @@ def conclude(
     says = [_answer(diagnosis)]
     if diagnosis["effects"]:
         says += _rest(diagnosis)
-    if between is None:
+    if diagnosis["final"]["held_out_rms_deg"] is None:
         says.append("Without cross-validation: the error on held-out poses is not known.")
+    elif between is None:
+        says.append(
+            "With bias and scale alone the readings do not follow the stage: no error before is stated."
+        )
     elif diagnosis["effects"]:
         says.append(_held_out(between, apart))
     if diagnosis.get("reference") == "good" and any(map(_is_by_reference, diagnosis["effects"])):
@@ -83,7 +87,7 @@ def _reference_may_be_good(diagnosis: Document, std_deg: float | None) -> list[s
     if not std_deg or next(of_stage, None) is None:
         return []
     before_deg = diagnosis["base"]["fit_rms_deg"]
-    if before_deg < FAR_LARGER * std_deg:
+    if before_deg is None or before_deg < FAR_LARGER * std_deg:
         return []
     return [
         f"The residual of bias and scale, {angle_text(before_deg)}, is {before_deg / std_deg:.0f} times the "

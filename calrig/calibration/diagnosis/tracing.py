@@ -30,7 +30,7 @@ from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, 
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.effects.unnamed import TIMES
-from calrig.calibration.line import FARTHEST_STD_DEG, MIN_SCALE, fit_line, residuals_deg, rms
+from calrig.calibration.line import FARTHEST_STD_DEG, MIN_SCALE, fit_line, rms
 from calrig.calibration.poses import DiagnosisError, Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE
@@ -166,7 +166,7 @@ def _require_that_readings_follow(findings: Findings) -> None:
     """Raise DiagnosisError where the readings may be the same, or noise, at every elevation."""
     r = findings.responses
     line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
-    explained = findings.found and rms(findings.fitted.residuals[:, 0]) < FARTHEST_STD_DEG
+    explained = findings.found and (line.residual_std_deg or 0.0) < FARTHEST_STD_DEG
     if abs(fitted_scale(r, findings.fitted.beta)) >= MIN_SCALE and (explained or line.follows):
         return
     raise DiagnosisError(
@@ -199,12 +199,12 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     findings = diagnosis.findings
     r = findings.responses
     before = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
-    before_deg = residuals_deg(r.theta_deg, r.theta_deg + r.values[:, 0], before.bias_deg, before.scale)
+    before_deg = before.left_deg(r.theta_deg, r.theta_deg + r.values[:, 0])
     after_deg = _after_deg(findings)
     effects = effect_documents(r, findings)
     verdicts = [effect["verdict"] for effect in effects]
     held_out, blocks = diagnosis.held_out, diagnosis.blocks
-    blocked_deg = (rms(worst.base_deg), rms(worst.final_deg)) if (worst := worse(blocks)) else (None, None)
+    worst = worse(blocks)
     return {
         "runs": list(run_ids),
         "reference": r.request.reference,
@@ -218,15 +218,15 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
         "base": {
             "bias_deg": before.bias_deg,
             "scale": before.scale,
-            "fit_rms_deg": rms(before_deg),
-            "held_out_rms_deg": None if held_out is None else rms(held_out.base_deg),
-            "blocked_rms_deg": blocked_deg[0],
+            "fit_rms_deg": rms(before_deg) if before.follows else None,
+            "held_out_rms_deg": rms(held_out.base_deg) if held_out and before.follows else None,
+            "blocked_rms_deg": rms(worst.base_deg) if worst and before.follows else None,
         },
         "verdict": next((v for v in WEAKEST_FIRST if v in verdicts), "nothing"),
         "effects": effects,
         "final": {
             "held_out_rms_deg": None if held_out is None else rms(held_out.final_deg),
-            "blocked_rms_deg": blocked_deg[1],
+            "blocked_rms_deg": None if worst is None else rms(worst.final_deg),
             "fit_rms_deg": rms(after_deg) if findings.found else rms(before_deg),
             "model": model_words(findings),
         },
