@@ -91,14 +91,14 @@ class BenchRigs:
         self._store = store
         self._unreadable: set[str] = set()
 
-    def all(self) -> list[BenchRig]:
-        """Every rig, by its bench's name and then as that has it configured."""
-        return [rig for bench in self._store.benches.all() for rig in self._of(bench)]
+    def all(self, name: str | None = None) -> list[BenchRig]:
+        """Every rig (of this name), by its bench's name and then as that has it configured."""
+        return [rig for bench in self._store.benches.all() for rig in self._of(bench, name)]
 
-    def states(self) -> list[RigState]:
-        """How each stands."""
+    def states(self, name: str | None = None) -> list[RigState]:
+        """How each (of this name) stands."""
         busy, stops = self._store.orders.busy_rigs(), self._store.commands.unobeyed()
-        return [rig.state(busy.get(rig.key), stops.get(rig.key)) for rig in self.all()]
+        return [rig.state(busy.get(rig.key), stops.get(rig.key)) for rig in self.all(name)]
 
     def looks(self) -> dict[str, BoardCheck]:
         """What was seen of the units on rigs that are looked at, by name; of benches that take orders."""
@@ -125,10 +125,10 @@ class BenchRigs:
         Raises:
             Unknown: no bench has such a rig.
         """
-        rigs = self.all()
-        found = [rig for rig in rigs if name in (None, rig.settings.name)]
+        found = self.all(name)
         if not found:
-            known = ", ".join(sorted({rig.settings.name for rig in rigs})) or "none, for no bench has joined"
+            names = sorted({rig.settings.name for rig in self.all()})
+            known = ", ".join(names) or "none, for no bench has joined"
             raise Unknown(f"no bench has a rig {name!r}; there are: {known}")
         return found
 
@@ -136,10 +136,10 @@ class BenchRigs:
         """Who puts drafts in force, as the benches' configurations say."""
         return Releases.of([rig.settings for rig in self.all()])
 
-    def _of(self, bench: Bench) -> list[BenchRig]:
+    def _of(self, bench: Bench, name: str | None) -> list[BenchRig]:
         said = bench.said.get("rigs", [])
         try:
-            return [BenchRig(bench, settings_of(one), one) for one in said]
+            return [BenchRig(bench, settings_of(one), one) for one in said if name in (None, one["name"])]
         except (ValidationError, TypeError, KeyError, AttributeError) as error:
             if bench.name not in self._unreadable:
                 log.error("what bench %s says of its rigs cannot be read: %s", bench.name, error)

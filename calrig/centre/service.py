@@ -54,13 +54,13 @@ class Asking:
 
     def __init__(self, store: Store, clock: Clock = WALL) -> None:
         self._store, self._clock = store, clock
-        self._answered: set[str] = set()
+        self._awaited: set[str] = set()
         self._told = clock.condition()
 
     def heard(self, command: str) -> None:
         """An answer has come, to whoever's command."""
         with self._told:
-            self._answered.add(command)
+            self._awaited.discard(command)
             self._told.notify_all()
 
     def ask(self, bench: Bench, kind: Kind, *, rig: str | None = None, run_uid: str | None = None) -> None:
@@ -72,12 +72,17 @@ class Asking:
         """
         command = self._store.commands.send(bench.name, kind, rig=rig, run_uid=run_uid)
         give_up_s = self._clock.now_s() + ANSWER_S
+        awaited = str(command)
+        with self._told:
+            self._awaited.add(awaited)
         answer = self._store.commands.answer(command)
         while answer is None and (left_s := give_up_s - self._clock.now_s()) > 0:
             with self._told:
-                self._told.wait_for(lambda: str(command) in self._answered, min(ANSWER_POLL_S, left_s))
-                self._answered.clear()
+                self._told.wait_for(lambda: awaited not in self._awaited, min(ANSWER_POLL_S, left_s))
+                self._awaited.add(awaited)  # anybody may notify: it is looked for anew
             answer = self._store.commands.answer(command)
+        with self._told:
+            self._awaited.discard(awaited)
         if answer is None and kind != "stop" and self._store.commands.withdraw(command):
             raise Conflict(f"bench {bench.name} {seen(bench)} and cannot be told{_advice(kind)}")
         answer = answer or self._store.commands.answer(command)
@@ -347,9 +352,11 @@ class CentreService(Service):
             stopped = self._unfinished_on(rig_name)
         finally:
             self._settle_withdrawn(STOPPED)
-        for run in stopped:
-            self._entered("aborted", run, who)
-        return next(state for state in self.rigs() if state.name == rig_name)
+        if stopped:  # the trail waits for other writers, whom the answer to a stop may not wait for
+            key = ("entered", *(run.id for run in stopped))
+            enter = partial(self._entered, "aborted", who=who)
+            self._errands.share(key, self._clock, lambda: list(map(enter, stopped)))
+        return self._rigs.states(rig_name)[0]
 
     def _stop_on(self, benches: Sequence[Bench], rig_name: str) -> None:
         """Has every bench with a rig of that name stop it, side by side; waits for all of them."""
@@ -378,7 +385,7 @@ class CentreService(Service):
     def _unfinished_on(self, rig_name: str) -> list[Run]:
         """Runs that a stop of the rig has aborted; their ends are on their way."""
         try:
-            return [one for one in self.store.runs.unfinished() if one.rig == rig_name]
+            return self.store.runs.unfinished(rig_name)
         except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
             log.error("rig %s: runs that its stop aborted are not in the audit trail: %s", rig_name, error)
             return []

@@ -298,10 +298,12 @@ class Runs(Repository):
         """Replaces a run's result, and with it what comparisons show."""
         return self.update(run_id, result=result)
 
-    def unfinished(self) -> list[Run]:
-        """The runs that are queued, running or paused, the oldest first."""
+    def unfinished(self, rig: str | None = None) -> list[Run]:
+        """The runs (on this rig) that are queued, running or paused, the oldest first."""
         oldest_first = (col(RunTable.created_at), col(RunTable.id))
         wanted = select(RunTable).where(col(RunTable.status).in_(UNFINISHED)).order_by(*oldest_first)
+        if rig is not None:
+            wanted = wanted.where(col(RunTable.rig) == rig)
         with self._database.reading() as session:
             return [run_of(row) for row in session.exec(wanted)]
 

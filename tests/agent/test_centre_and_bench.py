@@ -22,6 +22,7 @@ from calrig.centre.service import CentreService
 from calrig.cli.followed_run import FollowedRun
 from calrig.client import Client
 from calrig.store import Store
+from calrig.store.postgresql.database import TURN
 
 
 @pytest.fixture
@@ -204,6 +205,23 @@ def test_a_stop_at_the_centre_stops_the_stage(
         stopped = page.post("/api/rigs/bench-1/stop")
         assert (stopped.status_code, rig.stands()) == (200, True)
         assert ended(page, run_id)["status"] == "aborted"
+
+
+def test_the_answer_to_a_stop_waits_for_nobody_who_writes_and_the_trail_has_it_afterwards(
+    page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
+) -> None:
+    with agent_at(centre.bench_url, spool, rig):
+        run_id = started(page, plan=ENDLESS)
+        wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"], "poses")
+        with centre.connection.transaction():
+            centre.connection.execute("SELECT pg_advisory_xact_lock(%s)", (TURN,))
+            assert page.post("/api/rigs/bench-1/stop").status_code == 200
+        wait_for(lambda: run_id in [act["run_id"] for act in aborted(page)], "entry in the trail")
+
+
+def aborted(page: httpx.Client) -> list[dict]:
+    """What the trail has of aborted runs."""
+    return page.get("/api/trail", params={"what": "aborted"}).raise_for_status().json()["entries"]
 
 
 def test_pause_and_resume_reach_the_bench(
