@@ -110,7 +110,7 @@ def pose_doubts(result: Result, mismatches: int) -> list[Doubt]:
             Doubt(
                 "odd_scale",
                 f"The reading changes by {result.scale:.4g}° per degree of elevation: it is not in degrees, "
-                "or unit and stage count in opposite senses (a rig's `sign`).".replace("-", "−"),
+                "or unit and stage count in opposite senses (sign in the rig's settings).".replace("-", "−"),
             )
         )
     if result.lost_says:
