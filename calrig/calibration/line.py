@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -127,23 +126,15 @@ def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatAr
     Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there,
     and readings within half a turn of θ would tear those of a sensor that counts against the stage.
     """
-    along, against = _about_common(reading_deg - theta_deg), _about_common(reading_deg + theta_deg)
-    is_opposed = against.agreement > along.agreement + OPPOSED
-    return np.where(is_opposed, against.angle_deg - 2.0 * theta_deg, along.angle_deg)
+    (along, agree), (against, disagree) = (_on_one_turn(reading_deg - way * theta_deg) for way in (1.0, -1.0))
+    return np.where(disagree > agree + OPPOSED, against - 2.0 * theta_deg, along)
 
 
-class _Common(NamedTuple):
-    """Angles within half a turn of their common direction, and how far they agree on it, 0 to 1."""
-
-    angle_deg: FloatArray
-    agreement: FloatArray
-
-
-def _about_common(angle_deg: FloatArray) -> _Common:
-    within = np.asarray(wrap_deg(angle_deg))
-    mean = np.exp(1j * np.radians(within)).mean(axis=-1, keepdims=True)
+def _on_one_turn(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (…, n) angles within half a turn of their common direction; how far they agree on it, 0 to 1."""
+    mean = np.exp(1j * np.radians(angle_deg)).mean(axis=-1, keepdims=True)
     common = np.degrees(np.angle(mean))
-    return _Common(np.asarray(wrap_deg(within - common) + common), np.abs(mean))
+    return np.asarray(wrap_deg(angle_deg - common) + common), np.abs(mean)
 
 
 def residuals_deg(

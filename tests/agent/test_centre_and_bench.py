@@ -196,12 +196,18 @@ def _begun(page: httpx.Client, run_id: str) -> dict | None:
     return answer.json() if answer.status_code == 201 else None
 
 
+def measuring(page: httpx.Client) -> str:
+    """A run without an end, once it has a pose."""
+    run_id = started(page, plan=ENDLESS)
+    wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"], "poses")
+    return run_id
+
+
 def test_a_stop_at_the_centre_stops_the_stage(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
     with agent_at(centre.bench_url, spool, rig):
-        run_id = started(page, plan=ENDLESS)
-        wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"], "poses")
+        run_id = measuring(page)
         stopped = page.post("/api/rigs/bench-1/stop")
         assert (stopped.status_code, rig.stands()) == (200, True)
         assert ended(page, run_id)["status"] == "aborted"
@@ -211,8 +217,7 @@ def test_the_answer_to_a_stop_waits_for_nobody_who_writes_and_the_trail_has_it_a
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
     with agent_at(centre.bench_url, spool, rig):
-        run_id = started(page, plan=ENDLESS)
-        wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"], "poses")
+        run_id = measuring(page)
         with centre.connection.transaction():
             centre.connection.execute("SELECT pg_advisory_xact_lock(%s)", (TURN,))
             assert page.post("/api/rigs/bench-1/stop").status_code == 200
@@ -228,8 +233,7 @@ def test_pause_and_resume_reach_the_bench(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path
 ) -> None:
     with agent_at(centre.bench_url, spool, rig):
-        run_id = started(page, plan=ENDLESS)
-        wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"], "poses")
+        run_id = measuring(page)
         assert page.post(f"/api/runs/{run_id}/pause").status_code == 200
         wait_for(lambda: run_of(page, run_id)["status"] == "paused", "pause")
         assert page.post(f"/api/runs/{run_id}/resume").status_code == 200
@@ -278,8 +282,7 @@ def test_a_bench_that_is_away_is_stopped_when_it_is_back(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path, cable: Cable
 ) -> None:
     with agent_at(cable.url, spool, rig) as agent:
-        run_id = started(page, plan=ENDLESS)
-        wait_for(lambda: run_of(page, run_id)["progress"]["poses_done"], "poses")
+        run_id = measuring(page)
         cable.cut()
         refused = page.post("/api/rigs/bench-1/stop")
         assert refused.status_code == 409
