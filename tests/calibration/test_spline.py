@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from calrig.calibration.regression.spline import SplineCurve, curve_document, knots_of, natural_spline
+from calrig.calibration.regression.spline import NaturalSplines, SplineCurve, curve_document, natural_spline
 
 
 def curve_of(document):
@@ -17,7 +17,7 @@ def curve_of(document):
 def test_the_document_has_the_curve_that_the_basis_gives_less_its_straight_line(pieces):
     rng = np.random.default_rng(pieces)
     theta_deg = rng.uniform(-75.0, 240.0, 400)
-    columns, knots = natural_spline(theta_deg, pieces), knots_of(theta_deg, pieces)
+    columns, knots = natural_spline(theta_deg, pieces), NaturalSplines.over(theta_deg, pieces).at
     beta = rng.normal(size=columns.shape[1])
     fitted = columns @ beta
     bent = fitted - np.polyval(np.polyfit(theta_deg, fitted, 1), theta_deg)
@@ -36,7 +36,7 @@ def test_the_document_has_the_curve_that_the_basis_gives_less_its_straight_line(
 def test_the_standard_errors_at_the_knots_are_those_of_many_fits_beside_a_line():
     rng = np.random.default_rng(4)
     theta_deg, noise_deg = np.linspace(-60.0, 60.0, 120), 0.1
-    columns, knots = natural_spline(theta_deg, 5), knots_of(theta_deg, 5)
+    columns, knots = natural_spline(theta_deg, 5), NaturalSplines.over(theta_deg, 5).at
     model = np.column_stack([np.ones(120), theta_deg, columns])  # singular: the line is in it twice
     solved = np.linalg.pinv(model)[2:]
     covariance = solved @ solved.T * noise_deg**2

@@ -240,7 +240,7 @@ def fitted_beside(
         penalised = [one.criterion + penalty for one, penalty in zip(found, penalties, strict=True)]
         # linear, a delay leaves what it does to the effects that it moves: it is not behind yet
         behind = [
-            0.0 if _is_delay(c) else criterion - min(penalised)
+            0.0 if is_delay(c) else criterion - min(penalised)
             for c, criterion in zip(shortlist, penalised, strict=True)
         ]
         bent = [k for k, one in enumerate(found) if one.bends_yet(behind[k])]
@@ -256,7 +256,8 @@ def fitted_beside(
     return [(one.criterion, one.beta[one.curve.own[-1]]) for one in found]
 
 
-def _is_delay(candidate: Candidate) -> bool:
+def is_delay(candidate: Candidate) -> bool:
+    """Return whether a candidate is a delay, or has one among its members."""
     return any(member.effect.late_by_deg is not None for member in candidate.members)
 
 

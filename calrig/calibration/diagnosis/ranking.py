@@ -12,6 +12,7 @@ import numpy.typing as npt
 from calrig.calibration.diagnosis.candidate_fits import (
     fitted_beside,
     is_at_bound,
+    is_delay,
     is_distinct_from,
     refined,
 )
@@ -52,6 +53,9 @@ LEADING_NAMES = 4
 SHORTLIST = 16
 FARTHEST = 1e9
 """Of the criterion, where what physics rules out ranks."""
+SURPASSED_SHARE = 0.6
+"""Of the best gain on the screen, what a candidate reaches that may have the best likelihood: a place between
+two scanned ones gains a quarter more at most, and the screen, which has the null's noise, misses no tenth."""
 SAME = 1e-3
 """Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
@@ -117,6 +121,17 @@ class SelectedEffect:
     def against(self, rival: Candidate, doubt: str) -> SelectedEffect:
         """With one rival more, and why."""
         return replace(self, rivals=(*self.rivals, rival), doubts=(*self.doubts, doubt))
+
+
+def within_reach(
+    r: Responses, offered: Sequence[Candidate], ratios: Float32Array
+) -> tuple[list[Candidate], Float32Array]:
+    """Return the candidates that may be the best by their full likelihood, and their ratios on the screen."""
+    penalised = ratios - float(np.log(len(r))) * np.array([c.parameters for c in offered])
+    those = penalised >= SURPASSED_SHARE * penalised.max() - MARGIN
+    # what is not linear, or moves others, gains more than the screen can tell
+    those |= np.array([c.effect.not_linear is not None or is_delay(c) for c in offered])
+    return [offered[k] for k in np.flatnonzero(those)], ratios[those]
 
 
 def named(

@@ -15,8 +15,14 @@ from itertools import combinations, permutations
 import numpy as np
 
 from calrig.calibration.diagnosis.candidates import Candidate, at_its_elevations, harmonics_of, own_columns
-from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect, at_best_place, named
-from calrig.calibration.diagnosis.screen import Float32Array, Screen
+from calrig.calibration.diagnosis.ranking import (
+    MARGIN,
+    SelectedEffect,
+    at_best_place,
+    named,
+    within_reach,
+)
+from calrig.calibration.diagnosis.screen import Screen
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.regression.channels import READING
 from calrig.calibration.regression.effect import HIDDEN, Parameters
@@ -27,12 +33,8 @@ from calrig.estimation.angles import FloatArray
 HOPELESS = 80.0
 """Difference of the criterion beyond which a candidate no longer competes with an effect of all poses; with a
 quarter of the poses left out, the same candidate is some 60 behind."""
-COMPETING_SHARE, SURPASSED_SHARE = 0.4, 0.6
-"""Of an effect's gain on the screen, what a scanned place must reach to compete with it in a fold, and what
-no competitor reaches where an effect is not compared again: a place between two scanned ones gains a quarter
-more at most, and the screen, which has the null's noise, misses no tenth."""
-SAME = 0.05
-"""Of −2 log likelihood on the screen: columns that say the same in these poses, under two names."""
+COMPETING_SHARE = 0.4
+"""Of an effect's gain on the screen, what a scanned place must reach to compete with it in a fold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +271,9 @@ def _against_rivals(
     if not rivals:
         return found
     ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)
-    if not thorough and _leads_far(r, rivals, ratios, one.candidate):
+    if not thorough:
+        rivals, ratios = within_reach(r, rivals, ratios)
+    if not thorough and all(_is_at_place_of(r, c, one.candidate) for c in rivals):
         again = replace(one, candidate=at_best_place(r, others, one.candidate))
     else:
         again = named(r, others, rivals, ratios, one.p_value, one.candidate)
@@ -287,17 +291,6 @@ def _against_rivals(
     # ranked by fits beside the others, which stay linear where they do not come to rest: a delay bends most
     is_worse = penalised_criterion(r, after) > penalised_criterion(r, before) + MOST_WORSE
     return found if is_worse else changed
-
-
-def _leads_far(r: Responses, rivals: Sequence[Candidate], ratios: Float32Array, incumbent: Candidate) -> bool:
-    """Return whether no rival comes near an effect on the screen but places of its own, or equal columns."""
-    penalised = ratios - float(np.log(len(r))) * np.array([c.parameters for c in rivals])
-    own = np.array([_is_at_place_of(r, c, incumbent) for c in rivals], dtype=bool)
-    if not own.any():
-        return False
-    gain = float(penalised[own].max())
-    others = penalised[~own & (np.abs(penalised - gain) > SAME)]
-    return float(others.max(initial=-np.inf)) < SURPASSED_SHARE * gain - MARGIN
 
 
 def with_known_places(

@@ -76,7 +76,7 @@ class NonlinearTerms:
         return slope
 
 
-DELAY_STEP = 1e-2
+DELAY_STEP = 1e-5
 """Of a delay, to see what it does there."""
 
 
@@ -138,15 +138,14 @@ class Delay:
         return over
 
     def slope(self, beta: FloatArray) -> FloatArray:
-        """Return (n, J, p) its derivative, by central differences of the delay."""
+        """Return (n, J, p) its derivative, that by the delay as a difference."""
         theta_deg, shares = self._at(float(beta[self.at]))
         slope = np.zeros((*self._r.values.shape, len(beta)))
         change = np.zeros(len(beta))
         change[self.at] = DELAY_STEP * max(abs(float(beta[self.at])), STEP)
-        here = self._last
-        ahead, behind = self.over(beta + change), self.over(beta - change)
-        self._last = here
-        slope[:, :, self.at] = (ahead - behind) / (2.0 * change[self.at])
+        here, last = self.over(beta), self._last
+        slope[:, :, self.at] = (self.over(beta + change) - here) / change[self.at]
+        self._last = last
         for channel, k in self._scales:
             slope[:, channel, k] = (theta_deg - self._r.theta_deg) / SCALE_UNIT_DEG
         for share, (_, at) in zip(shares, self.moved, strict=True):

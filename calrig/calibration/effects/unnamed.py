@@ -30,10 +30,10 @@ from calrig.calibration.regression.effect import (
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.spline import (
     FEWEST_KNOTS,
+    NaturalSplines,
     SplineCurve,
     bent_columns,
     curve_document,
-    knots_of,
     natural_spline,
 )
 from calrig.calibration.regression.terms import amplitude_and_phase, size_deg, tilted, turned, turns
@@ -283,9 +283,9 @@ def _shape(
 
 def _smooth(z: FloatArray, pieces: int, name: str, seen_by: Shares, *, has_knots: bool = False) -> Shape:
     """Return a smooth curve; with its knots where a document is to have them."""
-    curve = partial(natural_spline, pieces=pieces, over=z)
-    shape = _of_function(curve, z, name, f"smooth {pieces}", seen_by)
-    return replace(shape, knots=tuple(knots_of(z, pieces).tolist())) if has_knots else shape
+    curves = NaturalSplines.over(z, pieces)
+    shape = _of_function(curves, z, name, f"smooth {pieces}", seen_by)
+    return replace(shape, knots=tuple(curves.at.tolist())) if has_knots else shape
 
 
 def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = False) -> Iterator[Shape]:

@@ -23,38 +23,47 @@ KNOT, VALUE = "knot_{}_deg", "curve_{}_deg"
 FEWEST_KNOTS = 3
 
 
-def natural_spline(z: FloatArray, pieces: int, over: FloatArray | None = None) -> FloatArray:
-    """Return (n, ≤ pieces) basis of the natural cubic splines with knots at quantiles, no constant in it.
+@dataclass(frozen=True, slots=True, eq=False)
+class NaturalSplines:
+    """All natural cubic splines of one set of knots, as columns whose sums they are.
 
-    The quantiles are those of z, or of the values (m,) that the curve goes `over`.
+    Attributes:
+        least, span: of the values that the curves go over.
+        knots: (k,) ascending, 0 to 1 over these.
     """
-    over = z if over is None else over
-    u, all_along = ((values - over.min()) / np.ptp(over) for values in (z, over))
-    return _basis(u, _knots(all_along, pieces))
+
+    least: float
+    span: float
+    knots: FloatArray
+
+    @classmethod
+    def over(cls, z: FloatArray, pieces: int) -> Self:
+        """Return those over values (m,), with knots at their quantiles."""
+        least, span = float(z.min()), float(np.ptp(z))
+        return cls(least, span, np.unique(np.quantile((z - least) / span, np.linspace(0.0, 1.0, pieces + 1))))
+
+    def __call__(self, z: FloatArray) -> FloatArray:
+        """Return (n, ≤ pieces) basis at values (n,), no constant in it."""
+        return _basis((z - self.least) / self.span, self.knots)
+
+    @property
+    def at(self) -> FloatArray:
+        """The knots (k,) in the unit of the values; the outer ones are their ends."""
+        return np.asarray(self.least + self.span * self.knots, dtype=np.float64)
 
 
-def knots_of(z: FloatArray, pieces: int) -> FloatArray:
-    """Return (k,) the knots of `natural_spline`, ascending, in the unit of z; the outer ones are its ends."""
-    u = (z - z.min()) / np.ptp(z)
-    return np.asarray(z.min() + np.ptp(z) * _knots(u, pieces), dtype=np.float64)
-
-
-def _knots(u: FloatArray, pieces: int) -> FloatArray:
-    return np.unique(np.quantile(u, np.linspace(0.0, 1.0, pieces + 1)))
+def natural_spline(z: FloatArray, pieces: int) -> FloatArray:
+    """Return (n, ≤ pieces) basis of the natural cubic splines with knots at quantiles, no constant in it."""
+    return NaturalSplines.over(z, pieces)(z)
 
 
 def _basis(u: FloatArray, knots: FloatArray) -> FloatArray:
     """Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, equations 5.4 and 5.5."""
     if len(knots) < FEWEST_KNOTS:
         return np.asarray(u[:, None], dtype=np.float64)
-    last = knots[-1]
-
-    def bend(k: int) -> FloatArray:
-        cubes = np.maximum(u - knots[k], 0.0) ** 3 - np.maximum(u - last, 0.0) ** 3
-        return np.asarray(cubes / (last - knots[k]), dtype=np.float64)
-
-    straightened = [bend(k) - bend(len(knots) - 2) for k in range(len(knots) - 2)]
-    return np.asarray(np.column_stack([u, *straightened]), dtype=np.float64)
+    bends = np.maximum(u[:, None] - knots, 0.0) ** 3
+    bends = (bends[:, :-1] - bends[:, -1:]) / (knots[-1] - knots[:-1])
+    return np.column_stack([u, bends[:, :-1] - bends[:, -1:]])
 
 
 def curve_document(
