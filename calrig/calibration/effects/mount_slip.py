@@ -53,7 +53,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         for form, shares in forms.items():
             here = {"at_s": at["at_s"], "pose": float(k)}
             yield Shape(shares, ("step_deg",), form=form, at=here, scanned=True, alone=k % TOGETHER != 0)
-        for part in (at["part"],) if "part" in at else PARTS:
+        parts = (at["part"],) if "part" in at else PARTS
+        for part in parts if r.motion is None else ():  # a reading on the move is no mean of a dwell
             yield _in_dwell(r, {"at_s": float(r.time_s[k]), "pose": float(k), "part": part})
 
 
