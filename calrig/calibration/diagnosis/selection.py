@@ -31,7 +31,7 @@ from calrig.calibration.diagnosis.candidates import (
     model_columns,
 )
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
-from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair, within_reach
+from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import (
     Rivals,
     admitted,
@@ -546,7 +546,7 @@ def _entering(
     if not verdict.passes:
         return [step.at_elevations_of(r) for step in masked_pair(r, model, verdict, judged)], None
     steps: list[SelectedEffect] = []
-    best = named(r, accepted, *within_reach(r, verdict.candidates, verdict.ratios), verdict.p_value)
+    best = named(r, accepted, verdict.candidates, verdict.ratios, verdict.p_value)
     if best.considered and is_practically_significant(r, accepted, best):
         best = simplest(r, accepted, best, verdict)
         steps = forward_step(r, accepted, best, verdict, judged, rivals)
