@@ -14,12 +14,13 @@ from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of
 from calrig.calibration.diagnosis.established import established
 from calrig.calibration.diagnosis.held_out import CrossValidation, without_harm
 from calrig.calibration.diagnosis.ranking import SelectedEffect
-from calrig.calibration.diagnosis.report import covariance_of
+from calrig.calibration.diagnosis.report import covariance_of, effect_documents
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.effects import effect_of
 from calrig.calibration.regression.channels import READING
 from calrig.calibration.regression.noise_model import fit
+from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.spline import natural_spline
 
@@ -29,9 +30,10 @@ APPROACH = np.sign(np.diff(THETA_DEG, prepend=0.0))
 NOISE_DEG = RNG.normal(0.0, 0.03, 60)
 
 
-def run_of(error_deg: np.ndarray) -> Responses:
+def run_of(error_deg: np.ndarray, request: DiagnosisRequest = AS_USUAL) -> Responses:
     readings_deg = 0.5 + THETA_DEG + error_deg + NOISE_DEG
-    return responses_of([posed(target_deg=THETA_DEG, reading_deg=readings_deg, approach=APPROACH)])
+    poses = posed(target_deg=THETA_DEG, reading_deg=readings_deg, approach=APPROACH)
+    return responses_of([poses], request=request)
 
 
 def selected(r: Responses, name: str, form: str = "", period_deg: float = 0.0) -> SelectedEffect:
@@ -117,3 +119,17 @@ def test_the_coefficients_of_a_curve_are_widened_alike_so_that_their_errors_canc
     fitted = fit(r, columns)
     ratio = covariance_of(r, columns, fitted, curves=[own])[own, own] / fitted.covariance[own, own]
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-6)
+
+
+def test_a_curve_that_a_kink_undoes_in_part_corrects_nothing_alone() -> None:
+    bent_deg = 0.05 * np.maximum(THETA_DEG - 35.0, 0.0) - 1e-6 * THETA_DEG**3
+    r = run_of(bent_deg, DiagnosisRequest(reference="good"))
+    curve = selected(r, "unnamed", "smooth 5")
+    assert [e["corrects"] for e in effect_documents(r, findings_of(r, [curve]))] == ["unit"]
+    documents = effect_documents(r, findings_of(r, [curve, selected(r, "unnamed", "kink")]))
+    assert [e["corrects"] for e in documents] == [None, None]
+    less_line_deg = bent_deg - np.polyval(np.polyfit(THETA_DEG, bent_deg, 1), THETA_DEG)
+    (said,) = {line for e in documents for line in e["evidence"] if line.startswith("together with")}
+    size_deg, std_deg = map(float, said.split(": ")[1].split("°")[0].split(" ± "))
+    assert size_deg == pytest.approx(np.ptp(less_line_deg), abs=3.0 * std_deg)
+    assert std_deg < 0.1 * size_deg

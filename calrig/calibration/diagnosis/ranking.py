@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 
 import numpy as np
 import numpy.typing as npt
@@ -131,7 +132,7 @@ def within_reach(
     those = penalised >= SURPASSED_SHARE * penalised.max() - MARGIN
     # what is not linear, or moves others, gains more than the screen can tell
     those |= np.array([c.effect.not_linear is not None or is_delay(c) for c in offered])
-    return [offered[k] for k in np.flatnonzero(those)], ratios[those]
+    return list(compress(offered, those)), ratios[those]
 
 
 def named(

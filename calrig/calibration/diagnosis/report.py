@@ -35,13 +35,15 @@ from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.effects.unnamed import maximum_words
 from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
-from calrig.calibration.regression.channels import ANGLE, CHANNELS, SCALE_UNIT_DEG
-from calrig.calibration.regression.effect import Scope
+from calrig.calibration.regression.channels import ANGLE, CHANNELS, READING, SCALE_UNIT_DEG
+from calrig.calibration.regression.effect import ELEVATION, Scope, Shape
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
 from calrig.calibration.regression.run_changes import in_words
+from calrig.calibration.regression.terms import less_line, size_deg
 from calrig.calibration.results.correction import numbers_of
+from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 ONE_CURVE = "with a good reference each is the sensor's, and its correction is the same curve"
@@ -91,14 +93,35 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
         own = own_columns(model.columns, whole)
         fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
     shares = explained_shares(r, parts_deg(r, whole, model.fitted.beta))
+    together = _sizes_together(r, whole, fitted, own)
     return [
         {
-            **_document(r, one, candidate, fitted, at),
+            **_document(r, one, candidate, fitted, at, together.get(candidate.label)),
             "explained": share,
             "least_p_value": findings.least_p_value,
         }
         for one, candidate, at, share in zip(findings.found, whole, own, shares, strict=True)
     ]
+
+
+def _sizes_together(
+    r: Responses, effects: Sequence[Candidate], fitted: Fit, own: Sequence[slice]
+) -> dict[str, str]:
+    """Return, by label, what several shapes of one column add together: each may undo most of another."""
+    found = {}
+    for label in {c.label for c in effects if not c.named}:
+        several = [(c, at) for c, at in zip(effects, own, strict=True) if c.label == label]
+        if len(several) < 2:
+            continue
+        columns = np.concatenate([c.columns[:, 0, :] for c, _ in several], axis=1)
+        if several[0][0].covariate == ELEVATION.name:
+            columns = less_line(r, columns)
+        at = np.concatenate([np.arange(own_at.start, own_at.stop) for _, own_at in several])
+        shape = Shape({READING: columns}, ("size_deg",))
+        size = size_deg(shape, fitted.beta[at], fitted.covariance[np.ix_(at, at)])
+        in_words = angle_text(size["value"] or 0.0, std_deg=size["std"])
+        found[label] = f"together with the other structure of this column: {in_words}, peak to peak"
+    return found
 
 
 def explained_shares(r: Responses, effects_deg: Sequence[FloatArray]) -> list[float | None]:
@@ -162,7 +185,7 @@ def _whole_form(r: Responses, candidate: Candidate) -> Candidate:
 
 
 def _document(
-    r: Responses, found: SelectedEffect, candidate: Candidate, fitted: Fit, at: slice
+    r: Responses, found: SelectedEffect, candidate: Candidate, fitted: Fit, at: slice, together: str | None
 ) -> dict[str, Any]:
     effect = candidate.effect
     beta, covariance = fitted.beta[at], fitted.covariance[at, at]
@@ -174,11 +197,16 @@ def _document(
         "origin": "sensor" if of_sensor is not None else effect.origin,
         "covariate": candidate.covariate,
         "parameters": parameters,
-        "corrects": _corrects(r, found, candidate),
+        # a curve that another undoes in part is no correction by itself
+        "corrects": None if together else _corrects(r, found, candidate),
         "p_value": found.p_value,
         "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
-        "evidence": [*_evidence(r, found, candidate), *maximum_words(candidate.shape, parameters)],
+        "evidence": [
+            *_evidence(r, found, candidate),
+            *maximum_words(candidate.shape, parameters),
+            *filter(None, [together]),
+        ],
         "remedy": (of_sensor or effect).remedy,
         "considered": [
             {"name": label, "behind": behind, "why": _why(found, label, behind)}
