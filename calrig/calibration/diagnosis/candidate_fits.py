@@ -10,6 +10,7 @@ Regression, 1989, section 2.1).
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -34,8 +35,9 @@ from calrig.calibration.regression.noise_model import RepeatedSteps, fit, fits, 
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
 
-NARROW = 2
-"""Columns of most candidates: they are fitted as if all had so many, wider ones as if all had as many."""
+WIDTHS = (2, 5, 9, 17)
+"""Columns: candidates of at most so many, and of more than the next lower number, are fitted as if all had as
+many."""
 
 
 class FitsBeside(NamedTuple):
@@ -131,9 +133,10 @@ class _ModelFits:
         count = len(candidates)
         residuals = np.empty((count, n, channels))
         found = FitsBeside(np.empty(count), [np.empty(0)] * count, residuals, np.full(count, np.nan))
-        narrow = [k for k, candidate in enumerate(candidates) if candidate.shape[2] <= NARROW]
-        wide = [k for k, candidate in enumerate(candidates) if candidate.shape[2] > NARROW]
-        for those in filter(None, (narrow, wide)):
+        alike: dict[int, list[int]] = {}
+        for k, candidate in enumerate(candidates):
+            alike.setdefault(bisect_left(WIDTHS, candidate.shape[2]), []).append(k)
+        for those in alike.values():
             own = np.zeros((len(those), max(candidates[k].shape[2] for k in those), values.size))
             for place, k in enumerate(those):
                 own[place, : candidates[k].shape[2]] = candidates[k].reshape(values.size, -1).T
