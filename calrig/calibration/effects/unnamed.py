@@ -216,6 +216,7 @@ MORE_KNOTS, POSES_A_KNOT = (9, 17, 33), 12
 """Of the elevation, where there are so many poses to each: a potentiometer may be wavy all along."""
 OF_THE_READING = ", of the reading alone"
 ALTERNATING = "alternating from step to step"
+UNSTEADY = "from pose to pose"
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
@@ -259,6 +260,7 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
             by_side = ((curve - curve.mean(axis=0)).T * r.approach).T  # backlash beside it is the mean
             shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
             yield replace(shape, beside=("approach",))
+    yield from _unsteady(r)
     if (spacing := spacing_deg(r.theta_deg)) is not None:
         alternating = np.where(steps_of(r.theta_deg, spacing) % 2.0 == 0.0, 1.0, -1.0)
         yield _shape(turned(r, alternating), "target_deg", ALTERNATING, {"period": 2.0 * spacing})
@@ -266,6 +268,28 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
         of_stage = partial(turned, r)
         stage = _of_one(r.theta_deg, "target_deg", of_stage, has_knots=r.reference_is_good)
         yield from (replace(shape, form=f"{shape.form}, of the stage") for shape in stage)
+
+
+def _unsteady(r: Responses) -> Iterator[Shape]:
+    """Return the elevation less the mean of its neighbours, in poses on the way: errors of the reference.
+
+    Readings follow the sensor, not an angle that was misread. A move has that error too, so that readings
+    seem to lag behind their last move, as if the sensor had not settled; but behind the next one as well.
+    """
+    if np.abs(r.move_deg).max() == 0.0:
+        return
+    inner = np.flatnonzero(~r.starts & ~np.append(r.starts[1:], True))
+    before_deg, after_deg = (np.diff(r.theta_deg)[inner - k] for k in (1, 0))
+    inner_off_deg = np.where(before_deg * after_deg > 0.0, (before_deg - after_deg) / 2.0, 0.0)
+    off_deg = np.zeros(len(r))
+    off_deg[inner] = inner_off_deg
+    if np.count_nonzero(off_deg) > len(r) / 2:
+        yield _shape(turned(r, off_deg), "target_deg", UNSTEADY)
+
+
+def _is_possible(shape: Shape, beta: FloatArray) -> bool:
+    """Return whether readings follow no more than all that an elevation does, and no less than nothing."""
+    return shape.form != UNSTEADY or -1.0 <= float(beta[0]) <= 0.0
 
 
 def _shape(
@@ -372,6 +396,8 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
         said.append(f"{shape.covariate} went from {column.min():.5g} to {column.max():.5g}{of_unit}")
     if shape.form.endswith(OF_THE_READING):
         said.append("the reading moved and the accelerometer did not: look at what filters the reading")
+    if shape.form == UNSTEADY:
+        said.append("readings follow the elevation less from pose to pose: it may have been read with errors")
     if shape.form == ALTERNATING:
         said.append(
             f"a period of {shape.at['period']:.4g}°, twice the spacing, or an odd part of it: size_deg is by "
@@ -414,6 +440,7 @@ EFFECT = Effect(
     on_reading_deg=lambda p: _curve(p.parameters)(p.theta_deg),
     in_c=lambda parameters: _curve(parameters).in_c(),
     reported=_reported,
+    possible=_is_possible,
     evidence=_evidence,
     apart="what the column stands for, once somebody has looked",
     remedy="look at what changes with this column",
