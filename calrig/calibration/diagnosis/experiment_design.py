@@ -220,8 +220,8 @@ class _Trial:
         suspects = [predicted(s, r) for s in self._suspects]
         found: dict[tuple[int, int], float] = {}
         for k, true in enumerate(suspects):
-            if true is None:
-                continue
+            if true is None or true.columns.shape[2] != len(self._sizes[k]):
+                continue  # a drift that was a part of the elevation's line has more columns where it is none
             shown = (true.columns @ self._sizes[k]) * r.known
             target = self._noise.whiten(shown, r.starts).ravel()
             for j, rival in enumerate(suspects):

@@ -25,7 +25,6 @@ from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
-from calrig.calibration.effects.stage_periodic import step_deg
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
@@ -106,8 +105,9 @@ def cross_validate(
         if None in whole:
             final[test] = base[test]
             continue
-        model = linear_about(r, [c for c in whole if c is not None], findings.fitted.beta)
-        final[test] = errors_deg(*model, findings.fitted.beta, test)
+        model = fitted_model(findings.responses, [f.candidate for f in findings.found])
+        shown = linear_about(r, [c for c in whole if c is not None], model)
+        final[test] = errors_deg(*shown, model.fitted.beta, test)
     return CrossValidation(base, final, folds)
 
 
@@ -161,18 +161,17 @@ def without_harm(
 def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:
     """Return (n,) fold of each pose, dealt out in turn along each approach's elevations.
 
-    So every fold has both approaches, all elevations, and poses from early and late. Evenly spaced poses are
-    dealt in a random order, the same for equally many: if each fourth of them were left out, a wave of twice
-    the spacing would look like one of four times the spacing. Each numbered deal has another random order.
+    So every fold has both approaches, all elevations, and poses from early and late. Each round of folds is in
+    a random order, the same for equally many poses: if each fourth of them were left out, or with several a
+    place or a whole number of them a turn every time the same places, a wave would look like another one. Each
+    numbered deal has another random order.
     """
     approach = np.zeros(len(r)) if r.approach is None else r.approach
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
     fold = np.empty(len(r), dtype=np.intp)
     rounds = np.tile(np.arange(FOLDS), (-(-len(r) // FOLDS), 1))
-    if deal is not None or step_deg(r) is not None:
-        rng = np.random.default_rng(len(r) if deal is None else [len(r), deal])
-        rounds = rng.permuted(rounds, axis=1)
-    fold[order] = rounds.ravel()[: len(r)]
+    rng = np.random.default_rng(len(r) if deal is None else [len(r), deal])
+    fold[order] = rng.permuted(rounds, axis=1).ravel()[: len(r)]
     return fold
 
 
@@ -227,8 +226,8 @@ def confirm(
     seen = r.rows(train)
     errors = []
     for effects_in in ((), accepted):
-        beta = fitted_model(seen, [effect.rows(train) for effect in effects_in]).fitted.beta
-        errors.append(errors_deg(*linear_about(r, effects_in, beta), beta, test))
+        model = fitted_model(seen, [effect.rows(train) for effect in effects_in])
+        errors.append(errors_deg(*linear_about(r, effects_in, model), model.fitted.beta, test))
     return Confirmation(rms(errors[0]), rms(errors[1]), len(test))
 
 
@@ -330,8 +329,8 @@ def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatA
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         shown = _shown(r, accepted, train)
-        beta = fitted_model(r.rows(train), [c.rows(train) for c in shown]).fitted.beta
-        errors[test] = errors_deg(*linear_about(r, shown, beta), beta, test)
+        model = fitted_model(r.rows(train), [c.rows(train) for c in shown])
+        errors[test] = errors_deg(*linear_about(r, shown, model), model.fitted.beta, test)
     return errors
 
 

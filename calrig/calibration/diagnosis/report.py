@@ -28,8 +28,9 @@ import numpy as np
 
 from calrig.calibration.diagnosis.candidate_fits import slope
 from calrig.calibration.diagnosis.candidates import Candidate, documented_forms, own_columns, rebuilt
+from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEffect
-from calrig.calibration.diagnosis.selection import Findings, most_outliers, outlier
+from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.effects.unnamed import maximum_words
@@ -347,12 +348,13 @@ def drawn_residuals(
     """
     r = responses_of(runs, run_ids, request)
     chosen = likeliest_forms(r, [_forms(r, effect) for effect in effects])
-    for _ in range(most_outliers(len(r))):
+    fewest = len(r) - most_outliers(len(r))
+    model = fitted_model(r, chosen)
+    while len(apart := outliers(model.responses, model.accepted, len(r) - fewest)):
+        others = np.delete(np.arange(len(r)), apart)
+        r, chosen = r.rows(others), [c.rows(others) for c in chosen]
         model = fitted_model(r, chosen)
-        if (apart := outlier(model.responses, model.accepted)) is not None:
-            others = np.delete(np.arange(len(r)), apart)
-            r, chosen = r.rows(others), [c.rows(others) for c in chosen]
-    fitted = fitted_model(r, chosen).fitted
+    fitted = model.fitted
     reading_deg = r.theta_deg + r.values[:, 0]
     line = fit_line(r.theta_deg, reading_deg)
     before_deg = residuals_deg(r.theta_deg, reading_deg, line.bias_deg, line.scale)

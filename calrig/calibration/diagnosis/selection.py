@@ -3,11 +3,6 @@
 The best candidate enters alone, with the further terms of its series that the model needs, or as one of two
 effects that hide each other.
 
-An outlier is a pose so far from what the model says of it that no effect and no noise explains it. It is
-judged against the model of the other poses, not by its neighbours: a slip moves all poses after it, an error
-of angle all near it, and at the ends of a range the neighbours lie on one side (Chen & Liu, Journal of the
-American Statistical Association 88, 1993, who part outliers from level shifts by one likelihood).
-
 An axis' error may be wavy all along and differ by direction. Half explained it looks like noise that wanders,
 and hides what steps or drifts. With a free curve for each side in the base, that shows by itself: what poses
 revisited from one side differ by is no function of the elevation.
@@ -31,6 +26,7 @@ from calrig.calibration.diagnosis.candidates import (
     model_columns,
 )
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
+from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import (
     Rivals,
@@ -60,7 +56,7 @@ from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.run_changes import RUN, is_level, with_free_levels
 from calrig.calibration.regression.spline import natural_spline
 from calrig.calibration.regression.terms import less_line
-from calrig.estimation.angles import FloatArray, robust_std
+from calrig.estimation.angles import FloatArray
 
 LEAST_SHARE = 0.05
 """Least standard deviation of an effect's part of the reading, as a share of the residual's."""
@@ -195,50 +191,6 @@ def _says_no_more(step: SelectedEffect, offered: Sequence[Candidate]) -> bool:
     forms = len({tuple(m.shape.form for m in c.members) for c in same} if is_on_trial(same[0]) else same)
     margin = COMPANION_MARGIN + 2.0 * float(np.log(max(forms, 1)))
     return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
-
-
-OUTLIER_STD = 12.0
-"""Robust standard deviations (by the median absolute deviation) from the model without the pose."""
-MOST_SHARE = 0.03
-SUSPECTS = 3
-
-
-def most_outliers(n: int) -> int:
-    """Return how many of n poses may be left out as outliers; if more are far off, the model is wrong."""
-    return max(1, int(MOST_SHARE * n))
-
-
-def outlier(r: Responses, accepted: Sequence[Candidate], gain_to_beat: float = 0.0) -> int | None:
-    """Return the index of the pose that is best explained as an outlier; None without one.
-
-    Args:
-        r: the responses.
-        accepted: the effects in the model.
-        gain_to_beat: of the best effect that could enter instead, in −2 log likelihood with penalties.
-    """
-    columns = model_columns(_with_first_poses(r), accepted)
-    fitted = fit(r, columns)
-    residuals = fitted.residuals[:, 0]
-    most, best = gain_to_beat, None
-    for k in np.argsort(-np.abs(residuals), kind="stable")[:SUSPECTS]:
-        # A free value in each channel of the pose, as if the pose had not been taken.
-        freed = np.zeros((len(r), len(r.channels), len(r.channels)))
-        freed[k] = np.diag(r.known[k].astype(float))
-        without = fit(r, np.concatenate([columns, freed], axis=2))
-        others = np.delete(without.residuals[:, 0], k)
-        spread_deg = robust_std(others)
-        distance_deg = abs(float(without.beta[columns.shape[2]]))
-        gain = fitted.criterion - without.criterion - float(np.log(len(r))) * (len(r.channels) + 2)
-        is_outlier = distance_deg > OUTLIER_STD * max(spread_deg, float(r.rounding[0]))
-        if is_outlier and gain > most:
-            most, best = gain, int(k)
-    return best
-
-
-def _with_first_poses(r: Responses) -> Responses:
-    """Return the responses with the first pose of each run bound to the model like any other."""
-    bound = [k for k, name in enumerate(r.base_names) if not name.endswith(".first")]
-    return replace(r, base=r.base[:, :, bound], base_names=tuple(r.base_names[k] for k in bound))
 
 
 def with_free_curve(r: Responses) -> Responses | None:
@@ -468,7 +420,7 @@ def _search(
 
     So are those `begun` with, which need not stay.
 
-    In each round the model is fitted and all candidates are tested. An outlier is left out; else the best
+    In each round the model is fitted and all candidates are tested. Outliers are left out; else the best
     significant candidate enters and all effects are reselected; inadmissible or needless ones leave. The
     search ends where nothing enters, and where a round ends as an earlier one did: of effects that replace
     each other in turn, the same would come for ever. Outside a fold, all effects are compared thoroughly
@@ -488,8 +440,8 @@ def _search(
             break
         model = fitted_model(r, accepted)
         verdict, earlier = judged(model, earlier), None
-        apart = outlier(model.responses, model.accepted, verdict.gain) if len(kept) > fewest else None
-        if apart is not None:
+        apart = outliers(model.responses, model.accepted, len(kept) - fewest, verdict.gain)
+        if len(apart):
             others = np.delete(np.arange(len(r)), apart)
             kept, r = kept[others], r.rows(others)
             judged.candidates = candidates = [c.rows(others) for c in candidates]

@@ -212,12 +212,14 @@ class Model:
     Attributes:
         responses, accepted: as the last step saw them; their columns are `columns` (n, J, p).
         fitted: of those; its residuals are those of the measured responses.
+        is_bent: whether the last step was linear about the one before, not about none.
     """
 
     responses: Responses
     accepted: tuple[Candidate, ...]
     columns: FloatArray
     fitted: Fit
+    is_bent: bool = False
 
 
 def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
@@ -243,16 +245,19 @@ def _fitted_model(r: Responses, accepted: tuple[Candidate, ...]) -> Model:
             return step
         if not curve.is_possible(beta):
             break
-        step = _fitted(*curve.straightened(beta))
+        step = replace(_fitted(*curve.straightened(beta)), is_bent=True)
     return straight
 
 
 def linear_about(
-    r: Responses, accepted: Sequence[Candidate], beta: FloatArray
+    r: Responses, accepted: Sequence[Candidate], elsewhere: Model
 ) -> tuple[Responses, tuple[Candidate, ...]]:
-    """Responses and effects whose linear model is exact at some coefficients (p,), fitted elsewhere."""
-    curve = Curve(r, accepted)
-    if not curve.bends or not curve.is_possible(beta):
+    """Responses and effects whose linear model is exact at the coefficients of a fit to other poses.
+
+    Where that fit could not be bent, nor is its prediction: its coefficients have no other meaning.
+    """
+    curve, beta = Curve(r, accepted), elsewhere.fitted.beta
+    if not elsewhere.is_bent or not curve.is_possible(beta):
         return r, tuple(accepted)
     return curve.straightened(beta)
 

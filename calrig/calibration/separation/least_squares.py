@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.diagnosis.selection import most_outliers
+from calrig.calibration.diagnosis.outliers import most_outliers
 from calrig.calibration.separation.normal_equations import Inverse, Normal
 from calrig.calibration.separation.pose_table import GROSS_G, BoolArray, Intp
 from calrig.calibration.separation.problem import Problem
