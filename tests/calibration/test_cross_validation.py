@@ -52,6 +52,33 @@ def test_every_pose_is_held_out_once_by_a_fold_that_has_both_approaches() -> Non
         assert {-1.0, 1.0} <= set(r.approach[fold == k])
 
 
+STEP_DEG = 9.0
+UP = STEP_DEG * np.arange(320.0)
+
+
+@pytest.mark.parametrize(
+    "theta_deg",
+    [
+        pytest.param(UP, id="forty a turn over eight turns"),
+        pytest.param(STEP_DEG * np.arange(2000.0), id="over fifty turns"),
+        pytest.param(np.concatenate([UP, UP[::-1]]), id="up and down"),
+        pytest.param(
+            np.concatenate([UP, UP[::-1] + STEP_DEG / 4.0]), id="up, and down a quarter of a step beside"
+        ),
+        pytest.param(np.repeat(UP, 2), id="each angle twice"),
+        pytest.param(UP + np.random.default_rng(4).normal(0.0, 1.0, len(UP)), id="nearly even"),
+    ],
+)
+def test_the_rest_of_a_fold_shows_every_wave_that_all_poses_show(theta_deg: np.ndarray) -> None:
+    r = responses_of([posed(target_deg=theta_deg, reading_deg=theta_deg)])
+    turns = np.radians(np.outer(theta_deg, np.arange(20)))
+    waves = np.column_stack([np.cos(turns), np.sin(turns[:, 1:])])
+    fold = folds_of(r)
+    for k in range(FOLDS):
+        least = np.linalg.svd(waves[fold != k], compute_uv=False)[-1]
+        assert least > 0.2 * np.linalg.svd(waves, compute_uv=False)[-1]
+
+
 def test_errors_of_held_out_poses_are_of_elevation_not_of_reading() -> None:
     """A reading of 0.8·θ + 1° with an error of 0.1° stands for an elevation that is 0.125° off."""
     theta_deg = np.random.default_rng(3).uniform(-60.0, 60.0, 20)

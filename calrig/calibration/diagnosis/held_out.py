@@ -161,10 +161,10 @@ def without_harm(
 def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:
     """Return (n,) fold of each pose, dealt out in turn along each approach's elevations.
 
-    So every fold has both approaches, all elevations, and poses from early and late. Each round of folds is in
-    a random order, the same for equally many poses: if each fourth of them were left out, or with several a
-    place or a whole number of them a turn every time the same places, a wave would look like another one. Each
-    numbered deal has another random order.
+    So every fold has both approaches, all elevations, and poses from early and late. Each round of folds is
+    in random order, the same for equally many poses. If each fourth pose were left out, the same angles of a
+    turn, or of each elevation the same pass, might always be missing, and one wave look like another there.
+    Each numbered deal has another random order.
     """
     approach = np.zeros(len(r)) if r.approach is None else r.approach
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))

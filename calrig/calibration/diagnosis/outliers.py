@@ -5,10 +5,10 @@ it, an error of angle all near it, and at the ends of a range the neighbours lie
 Journal of the American Statistical Association 88, 1993, who part outliers from level shifts by one
 likelihood).
 
-What no effect explains yet widens the spread, so that a gust hides beneath a worm's error that it hides in
-turn, and several outliers hide each other. So a few poses that leave their neighbours and come back are judged
-together, by a running median (Tukey, Exploratory Data Analysis, 1977): it follows a wave, and keeps the edge of
-a slip. It sees no end of a pass, where play and settling begin, nor what comes back at the same angle.
+What no effect explains yet widens the spread: a gust hides beneath a worm's error, which it hides in turn,
+and several outliers hide each other. So a few poses that leave their neighbours and come back are judged
+together, by a running median (Tukey, Exploratory Data Analysis, 1977): it follows a wave and keeps the edge
+of a slip. It sees no end of a pass, where play and settling begin. What comes again at the same angle stays.
 """
 
 from __future__ import annotations
@@ -149,7 +149,9 @@ def _from_neighbours(residual_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     return apart_deg, beside_deg
 
 
-def _comes_again(r: Responses, apart_deg: FloatArray, k: int, step_deg: float, passes: Sequence[Intp]) -> bool:
+def _comes_again(
+    r: Responses, apart_deg: FloatArray, k: int, step_deg: float, passes: Sequence[Intp]
+) -> bool:
     """Return whether another pass, or turn, is apart at the same angle too, to the same side."""
     own = next(one for one in passes if k in one)
     near = np.abs(wrap_deg(r.theta_deg - r.theta_deg[k])) <= step_deg

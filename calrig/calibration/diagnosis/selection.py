@@ -441,20 +441,23 @@ def _search(
         model = fitted_model(r, accepted)
         verdict, earlier = judged(model, earlier), None
         apart = outliers(model.responses, model.accepted, len(kept) - fewest, verdict.gain)
-        if len(apart):
-            others = np.delete(np.arange(len(r)), apart)
-            kept, r = kept[others], r.rows(others)
-            judged.candidates = candidates = [c.rows(others) for c in candidates]
-            found = [f.rows(others) for f in found]
-            continue
-        met.add(state)
-        steps: list[SelectedEffect] = []
-        if not _is_full(accepted, len(known)):
-            steps, no_worth = _entering(r, model, accepted, verdict, judged, rivals)
+        if not len(apart):
+            met.add(state)
+            is_full = _is_full(accepted, len(known))
+            steps, no_worth = (
+                ([], None) if is_full else _entering(r, model, accepted, verdict, judged, rivals)
+            )
             if no_worth is not None:
                 refused.add(no_worth)
                 earlier = verdict
                 continue
+            if not steps:  # nothing enters instead of them, whatever it would gain
+                apart = outliers(model.responses, model.accepted, len(kept) - fewest)
+        if len(apart):
+            others = np.delete(np.arange(len(r)), apart)
+            kept, r, found = kept[others], r.rows(others), [f.rows(others) for f in found]
+            judged.candidates = candidates = [c.rows(others) for c in candidates]
+            continue
         if not steps:
             if rivals is not None or is_compared:
                 break
