@@ -164,14 +164,18 @@ def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:
     So every fold has both approaches, all elevations, and poses from early and late. Each round of folds is
     in random order, the same for equally many poses. If each fourth pose were left out, the same angles of a
     turn, or of each elevation the same pass, might always be missing, and one wave look like another there.
-    Each numbered deal has another random order.
+    At one angle on and on the order stays. Each numbered deal has other random orders.
     """
     approach = np.zeros(len(r)) if r.approach is None else r.approach
     order = np.lexsort((np.arange(len(r)), np.round(r.theta_deg, 1), approach))
     fold = np.empty(len(r), dtype=np.intp)
     rounds = np.tile(np.arange(FOLDS), (-(-len(r) // FOLDS), 1))
     rng = np.random.default_rng(len(r) if deal is None else [len(r), deal])
-    fold[order] = rng.permuted(rounds, axis=1).ravel()[: len(r)]
+    rounds = rng.permuted(rounds, axis=1)
+    if deal is None:  # at one angle on and on: no wave along it, and even gaps in time keep its noise
+        anew = np.diff(r.theta_deg[order[::FOLDS]], prepend=np.inf) != 0.0
+        rounds = rounds[np.maximum.accumulate(np.where(anew, np.arange(len(rounds)), 0))]
+    fold[order] = rounds.ravel()[: len(r)]
     return fold
 
 
