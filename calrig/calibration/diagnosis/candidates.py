@@ -23,7 +23,7 @@ from calrig.calibration.regression.run_changes import (
     shapes_of,
     since,
 )
-from calrig.calibration.regression.terms import LEAST_TURN_DEG, THE_TURN
+from calrig.calibration.regression.terms import THE_TURN, goes_round
 from calrig.estimation.angles import FloatArray
 
 MOST_COLUMNS = 0.2
@@ -217,11 +217,6 @@ def companions_of(accepted: Sequence[Candidate]) -> set[str]:
 
 def _together(a: Candidate, b: Candidate) -> Candidate:
     return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
-
-
-def goes_round(r: Responses) -> bool:
-    """Return whether the poses cover a turn, so that its orders mean something."""
-    return float(np.ptp(r.theta_deg)) >= LEAST_TURN_DEG
 
 
 def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
