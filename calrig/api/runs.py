@@ -27,7 +27,7 @@ from calrig.api.models import (
     RunList,
     StartRun,
 )
-from calrig.api.routes import answers
+from calrig.api.routes import CHANGES, answers
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Found, stanza
@@ -104,9 +104,7 @@ def withdraw_stop(name: str, context: Context, who: Who) -> None:
     context.store.commands.withdraw_stop(name, who=who)
 
 
-@router.post(
-    "/api/runs", **answers(RunAnswer, "Start a run", 404, 409, 413, 422, role="operator", status=201)
-)
+@router.post("/api/runs", **answers(RunAnswer, "Start a run", *CHANGES, role="operator", status=201))
 def start_run(body: StartRun, context: Context, who: Who) -> Run:
     """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until somebody begins the run.
 
@@ -177,7 +175,7 @@ def acts_on_run(
     path: str, role: Role, summary: str, *problem_codes: int
 ) -> Callable[[Callable[..., Run]], Callable[..., Run]]:
     """Return the decorator of a path that does something to the run it names and answers with the run."""
-    codes = problem_codes or (404, 409, 413, 422)
+    codes = problem_codes or CHANGES
     return router.post(f"/api/runs/{{run_id}}/{path}", **answers(RunAnswer, summary, *codes, role=role))
 
 
