@@ -12,7 +12,6 @@ from pydantic import Field
 
 import calrig
 from calrig.analysis.check_standard import with_doubts
-from calrig.analysis.errors import Invalid
 from calrig.analysis.run_search import found_runs, moment_of
 from calrig.api.access import Who
 from calrig.api.context import Context, KnownRun
@@ -147,13 +146,10 @@ def list_runs(
         kind=kind,
         follows=follows,
     )
-    try:
-        found = found_runs(context.store, sought, verdict, limit, cursor)
-    except ValueError as error:
-        raise Invalid(str(error)) from error
+    found = found_runs(context.store, sought, verdict, limit, cursor)
     if found.back_to is not None:
         response.headers[BACK_TO] = iso_utc(found.back_to)
-    return {"items": with_doubts(context.store, found.items), "next_cursor": found.next_cursor}
+    return {"items": found.items, "next_cursor": found.next_cursor}
 
 
 @router.get("/api/runs/{run_id}", **answers(RunAnswer, "One run", 404))
