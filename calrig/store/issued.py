@@ -15,8 +15,8 @@ from calrig.canonical_json import canonical, sha256_of
 from calrig.model.calibration import RevisionStatus
 from calrig.store import trail
 from calrig.store.convert import iso_utc, run_row
-from calrig.store.database import Repository
-from calrig.store.errors import NotFound, Refused, Unreadable
+from calrig.store.database import Repository, row_of
+from calrig.store.errors import Refused, Unreadable
 from calrig.store.records import Document
 from calrig.store.tables import IssuedCalibrationTable, RunTable, TrailTable, UtcText
 
@@ -256,10 +256,8 @@ def _note(
 
 
 def _row(session: Session, unit: str, number: int) -> IssuedCalibrationTable:
-    row = session.get(IssuedCalibrationTable, (unit, number))
-    if row is None:
-        raise NotFound(f"unit {unit!r} has no revision {number}")
-    return row
+    missing = f"unit {unit!r} has no revision {number}"
+    return row_of(session, IssuedCalibrationTable, (unit, number), missing)
 
 
 def _revision(row: IssuedCalibrationTable) -> Revision:
