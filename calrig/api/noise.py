@@ -7,9 +7,9 @@ from fastapi import APIRouter, Depends, File, Form, Request, UploadFile
 from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid, Unknown
+from calrig.analysis.log_studies import Study
 from calrig.analysis.noise_studies import (
     NAMES,
-    Study,
     gyro_scale_of,
     lay_samples,
     require_static,
