@@ -16,16 +16,7 @@ from calrig.analysis.run_search import found_runs, moment_of
 from calrig.api.access import Who
 from calrig.api.context import Context, KnownRun
 from calrig.api.jobs import answer_of
-from calrig.api.models import (
-    Body,
-    Health,
-    Reason,
-    ReasonIfAny,
-    ResumeRun,
-    RunAnswer,
-    RunList,
-    StartRun,
-)
+from calrig.api.models import Body, Health, Reason, ReasonIfAny, ResumeRun, RunAnswer, RunList, StartRun
 from calrig.api.routes import CHANGES, answers
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL

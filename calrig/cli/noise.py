@@ -88,10 +88,7 @@ def filters(
         document, draw = _of_file("filters", Path(source), given) if is_file else _filters_of_run(source, db)
     if write is not None:
         write(source, draw())
-    if as_json:
-        output.print_json(document)
-    else:
-        output.print_filters(document)
+    output.show(document, output.print_filters, as_json=as_json)
 
 
 class _Recorded(TypedDict):

@@ -94,10 +94,7 @@ def plan(
                 )
     except (Invalid, InvalidThere) as error:
         raise WorkError(str(error)) from error
-    if as_json:
-        output.print_json(found.model_dump(mode="json"))
-    else:
-        _print(found)
+    output.show(found, _print, as_json=as_json)
 
 
 def _designed_here(
