@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
+from operator import methodcaller
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -142,11 +143,8 @@ def number(value: float | None, unit: str, decimals: int = 4) -> str:
 
 def print_json(document: object) -> None:
     """Prints a document, or models in it; what is not known is null in it, never NaN."""
-    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False, default=_plain))
-
-
-def _plain(model: Model) -> Any:
-    return model.model_dump(mode="json")
+    plain = methodcaller("model_dump", mode="json")
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False, default=plain))
 
 
 def show(found: T, in_words: Callable[[T], None], *, as_json: bool) -> None:

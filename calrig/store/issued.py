@@ -186,7 +186,8 @@ class Revisions(Repository):
             row = _row(session, unit, number)
             if row.status not in ("draft", "superseded"):
                 other = ": make a new draft instead" if row.status == "withdrawn" else ""
-                raise Refused(f"revision {number} of unit {unit!r} is {_words(row.status)}{other}")
+                is_so = "in force already" if row.status == "in_force" else row.status
+                raise Refused(f"revision {number} of unit {unit!r} is {is_so}{other}")
             _release(session, row, by, reason, datetime.now(UTC))
             return _revision(row)
 
@@ -282,7 +283,3 @@ def _revision(row: IssuedCalibrationTable) -> Revision:
         issued_by=row.issued_by,
         reason=row.reason,
     )
-
-
-def _words(status: str) -> str:
-    return {"in_force": "in force already", "withdrawn": "withdrawn"}.get(status, status)
