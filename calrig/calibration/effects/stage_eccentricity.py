@@ -36,11 +36,9 @@ LARGEST_AMPLITUDE_DEG = 30.0
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
     if turns(r) and (r.arc_deg < LEAST_TURN_DEG or goes_round(r)):  # not of many turns at the same places
-        columns = _sine_and_cosine(r.theta_deg)
-        names = ("amplitude_deg", "phase_deg")
         yield Shape(
-            turned(r, columns),
-            names,
+            turned(r, _sine_and_cosine(r.theta_deg)),
+            ("amplitude_deg", "phase_deg"),
             series=THE_TURN,
             alike=alike_a_drift(r),
             at_elevation=_sine_and_cosine,

@@ -283,15 +283,6 @@ def _on_reading_deg(p: Applied) -> FloatArray:
     return wave if turned_deg is None else wave * kept_in_mean(turned_deg, period_deg)
 
 
-def _possible(shape: Shape, beta: FloatArray) -> bool:
-    """Return an axis that turns on as its stage does: a steeper wave would turn it back."""
-    return bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"])
-
-
-def _in_c(p: Parameters) -> str:
-    return c_wave(p, 360.0 / p["period_deg"])
-
-
 EFFECT = Effect(
     name="stage_periodic",
     title="Periodic error of the stage",
@@ -307,11 +298,12 @@ EFFECT = Effect(
     forms=_forms,
     scan=_scan,
     on_reading_deg=_on_reading_deg,
-    in_c=_in_c,
+    in_c=lambda p: c_wave(p, 360.0 / p["period_deg"]),
     apart="its period: jittered elevations tell the periods apart that an even spacing confuses",
     remedy="correct by the rig error map; look at the worm, its preload, the motor's steps",
     reported=amplitude_and_phase,
-    possible=_possible,
+    # a steeper wave would turn the axis back while its stage turns on
+    possible=lambda shape, beta: bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"]),
     place="period_deg",
     settled=_settled,
     look_alikes=_look_alikes,

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from calrig.calibration.effects.stage_periodic import spacing_deg, steps_of
-from calrig.calibration.regression.channels import ANGLE, MOVE, READING, BoolArray
+from calrig.calibration.regression.channels import ANGLE, MOVE, READING
 from calrig.calibration.regression.effect import (
     ELEVATION,
     ApplyError,
@@ -196,7 +196,7 @@ def _runs(r: Responses) -> list[tuple[slice, FloatArray]] | None:
     """Return each run and its times; None where they are not known or do not advance."""
     if r.time_s is None:
         return None
-    ends = [*np.flatnonzero(_firsts(r.starts))[1:], len(r)]
+    ends = [*(1 + np.flatnonzero(r.starts[1:])), len(r)]
     runs, first = [], 0
     for end in ends:
         time_s = r.time_s[first:end]
@@ -205,11 +205,6 @@ def _runs(r: Responses) -> list[tuple[slice, FloatArray]] | None:
         runs.append((slice(first, int(end)), time_s))
         first = int(end)
     return runs
-
-
-def _firsts(starts: BoolArray) -> BoolArray:
-    """Return where runs begin; the first pose that is left of some begins one too."""
-    return np.asarray(np.append(True, starts[1:]), dtype=np.bool_)
 
 
 KNOTS = (3, 5)
