@@ -279,7 +279,7 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
 
 LEVEL, AT_FIRST = 0.01, 0.75
 """Family-wise significance level of a search; the share of it spent before a search with free curves."""
-MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
+MOST_EFFECTS, MOST_COLUMNS = 8, 0.35
 """Most effects of a model, a series such as the orders of a turn counted once; most columns per pose."""
 
 

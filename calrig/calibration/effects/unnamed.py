@@ -39,6 +39,7 @@ from calrig.calibration.regression.spline import (
 from calrig.calibration.regression.terms import (
     amplitude_and_phase,
     covered,
+    is_time_elevation,
     size_deg,
     tilted,
     turned,
@@ -245,7 +246,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.time_s is not None and np.ptp(r.time_s) > 0.0:
         for count in KNOTS:
             yield _shape(tilted(natural_spline(r.time_s, count)), "time_s", f"smooth {count}")
-        yield from _cycles(r, r.time_s)
+        if not is_time_elevation(r):  # there a cycle of time is a period of the angle
+            yield from _cycles(r, r.time_s)
 
 
 def _of_elevation(r: Responses) -> Iterator[Shape]:
