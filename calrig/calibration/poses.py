@@ -273,8 +273,8 @@ def same(a: FloatArray, b: FloatArray) -> bool:
 
 
 FEWEST_AT_END, MOST_AT_END, WIDER = 3, 3, 3.0
-"""Elevations with the same highest or lowest reading, or so many neighbouring ones, over so many times the arc
-that as many others stand for, are beyond the end of the sensor's range."""
+"""Elevations with the same highest or lowest reading, or so many neighbouring ones, over so many times the
+arc that as many others stand for, are beyond the end of the sensor's range."""
 MOSTLY, LEAST_BEYOND, STILL = 0.75, 0.02, 5.0
 """Of the poses among them, how many read so; of the whole arc, the least that they cover; and how many times
 their own spread the readings would have changed over it."""
@@ -308,7 +308,10 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
 def _refuse_its_ends(theta: FloatArray, reading: FloatArray) -> None:
     """Raise DiagnosisError where the readings stop at their highest or lowest while the elevation goes on."""
     values, which = np.unique(reading, return_inverse=True)
-    ends = (_end_of_range(theta, which, values), _end_of_range(-theta, len(values) - 1 - which, -values[::-1]))
+    ends = (
+        _end_of_range(theta, which, values),
+        _end_of_range(-theta, len(values) - 1 - which, -values[::-1]),
+    )
     stops = [
         f"at {value:g} from {theta[there].min():g}° to {theta[there].max():g}° ({len(there)} poses)"
         for value, there in zip((values[0], values[-1]), ends, strict=True)
@@ -316,7 +319,8 @@ def _refuse_its_ends(theta: FloatArray, reading: FloatArray) -> None:
     ]
     if stops:
         raise DiagnosisError(
-            f"the readings stop {' and '.join(stops)}: if the sensor's range ends there, leave these poses out"
+            f"the readings stop {' and '.join(stops)}: if the sensor's range ends there, leave these poses "
+            "out"
         )
 
 

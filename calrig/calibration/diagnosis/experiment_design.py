@@ -130,15 +130,9 @@ def design(
     spread = [round(float(p), 3) for p in np.linspace(*limits_deg, MOST_POSES // 2 + 2)[1:-1]]
     waits_s = _waits(runs, suspects)
     shuffled = [round(float(p), 3) for p in rng.permutation(np.linspace(*limits_deg, 2 * MOST_POSES))]
-    if not trial.has_channels_of(findings.responses, shuffled):
-        return "no run is designed that would separate the suspects: a witness repeats the elevation exactly"
-    unknown = trial.unknown_in(shuffled)
-    if len(suspects) - len(unknown) < 2:
-        untold = " and ".join(dict.fromkeys(one.words_in(findings.responses) for one in unknown))
-        return (
-            "no run is designed that would separate the suspects: these poses do not say what "
-            f"{untold} does in others"
-        )
+    undesigned = trial.why_none(findings.responses, shuffled)
+    if undesigned:
+        return f"no run is designed that would separate the suspects: {undesigned}"
     trial.keep_distinguishable([(shuffled, 0.0), *((spread * 2, wait_s) for wait_s in waits_s)])
     chosen = _greedy(trial, limits_deg, rng, progress)
     separation, sweeps, wait_s = trial.separation(chosen), 1, 0.0
@@ -213,17 +207,20 @@ class _Trial:
         within = {k for pair in self.pairs for k in pair} or range(len(self._suspects))
         return [self._suspects[k] for k in sorted(within)]
 
-    def has_channels_of(self, r: Responses, elevations_deg: Sequence[float]) -> bool:
-        """Return whether further poses leave the channels as they are: they bring in one that was exact."""
-        return self._with(elevations_deg, 0.0).channels == r.channels
+    def why_none(self, r: Responses, elevations_deg: Sequence[float]) -> str:
+        """Return why nothing can be said of further poses; empty where it can."""
+        further = self._with(elevations_deg, 0.0)
+        if further.channels != r.channels:  # they bring in one that was exact
+            return "a witness repeats the elevation exactly"
+        there = self._suspects_in(with_free_levels(further))
+        unknown = [suspect for suspect, again in zip(self._suspects, there, strict=True) if again is None]
+        if len(there) - len(unknown) >= 2:
+            return ""
+        untold = " and ".join(dict.fromkeys(one.words_in(r) for one in unknown))
+        return f"these poses do not say what {untold} does in others"
 
     def _with(self, elevations_deg: Sequence[float], wait_s: float) -> Responses:
         return responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)
-
-    def unknown_in(self, elevations_deg: Sequence[float]) -> list[Candidate]:
-        """Return the suspects of which nothing is known in further poses."""
-        there = self._suspects_in(with_free_levels(self._with(elevations_deg, 0.0)))
-        return [suspect for suspect, again in zip(self._suspects, there, strict=True) if again is None]
 
     def _suspects_in(self, r: Responses) -> list[tuple[Candidate, FloatArray] | None]:
         """Each suspect in other poses with its sizes there; None where these are not known."""

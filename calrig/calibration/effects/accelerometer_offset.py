@@ -19,6 +19,7 @@ from calrig.calibration.regression.terms import (
     MG,
     ON_VECTOR,
     c_literal,
+    said_of_two_signals,
     turns,
     vector_forms,
     where_axes_show,
@@ -39,6 +40,11 @@ def _on_vector_g(p: Applied) -> VectorError:
     return p.value("y_mg") * MG, p.value("z_mg") * MG
 
 
+def _evidence(r: Responses, shape: Shape) -> list[str]:
+    unread = said_of_two_signals(r, shape)
+    return unread or ["a calibration against gravity (`calrig gravity`) measures the offsets without a stage"]
+
+
 def _in_c(p: Parameters) -> VectorInC:
     return VectorInC(*(c_literal(p.get(name, 0.0) * MG) for name in ("y_mg", "z_mg")))
 
@@ -57,6 +63,7 @@ EFFECT = Effect(
     in_c=_in_c,
     apart="clamped at another angle, the unit takes it along",
     seen_by_gravity="|accelerometer| changes as y·sin θ + z·cos θ",
-    remedy="subtract the offsets in the firmware, or calibrate against gravity",
+    remedy="subtract the offsets in the firmware",
+    evidence=_evidence,
     possible=within(y_mg=LARGEST_MG, z_mg=LARGEST_MG),
 )
