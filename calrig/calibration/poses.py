@@ -305,6 +305,38 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
         )
 
 
+MOST_LAGGING = 0.2
+"""Of a step, what readings that follow change by at least."""
+STAYS, FEWEST_STEPS, HALF_WAY, ARRIVED = 3, 3, 0.5, 0.9
+"""Rows before and after a step at unchanged elevation; steps that tell; of the way of the reading between
+them, what a stage that was waited for has behind it at its first row, and where it counts as there."""
+
+
+def refuse_what_is_on_its_way(theta: FloatArray, reading: FloatArray) -> None:
+    """Raise DiagnosisError where rows of one run were taken while the readings still followed a step.
+
+    A log of a drive has the elevation that was commanded, and many rows before the drive is there.
+    """
+    ends = np.append(np.flatnonzero(np.diff(theta) != 0.0), len(theta) - 1)
+    begins = np.append(0, ends[:-1] + 1)
+    whole, rows = [], []
+    for k in range(1, len(ends)):
+        if min(ends[k] - begins[k], ends[k - 1] - begins[k - 1]) < STAYS - 1:
+            continue
+        moved = reading[begins[k] : ends[k] + 1] - reading[ends[k - 1]]
+        if abs(moved[-1]) < MOST_LAGGING * abs(theta[begins[k]] - theta[ends[k - 1]]):
+            continue  # it does not follow, or wraps
+        way = moved / moved[-1]
+        whole.append(way[0])
+        rows.append(int(np.argmax(way >= ARRIVED)))
+    if len(whole) >= FEWEST_STEPS and np.median(whole) < HALF_WAY:
+        raise DiagnosisError(
+            f"after a step of target_deg the readings take {np.median(rows):.0f} rows to follow, by "
+            f"{100.0 * np.median(whole):.0f} % in the first: leave out the rows on the way, or give the "
+            "elevation that was measured with each reading"
+        )
+
+
 def _refuse_its_ends(theta: FloatArray, reading: FloatArray) -> None:
     """Raise DiagnosisError where the readings stop at their highest or lowest while the elevation goes on."""
     values, which = np.unique(reading, return_inverse=True)

@@ -6,8 +6,9 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
+from operator import methodcaller
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 from rich.cells import cell_len
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from calrig.settings import RigSettings
     from calrig.store.moving import Moved
 
+T = TypeVar("T")
 FRAME = "│  "
 """Of a column."""
 
@@ -140,8 +142,14 @@ def number(value: float | None, unit: str, decimals: int = 4) -> str:
 
 
 def print_json(document: object) -> None:
-    """Prints a document; what is not known is null in it, never NaN."""
-    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    """Prints a document, or models in it; what is not known is null in it, never NaN."""
+    plain = methodcaller("model_dump", mode="json")
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False, default=plain))
+
+
+def show(found: T, in_words: Callable[[T], None], *, as_json: bool) -> None:
+    """Prints what was found, as JSON or in words."""
+    (print_json if as_json else in_words)(found)
 
 
 def print_result(run: RunRecord) -> None:

@@ -60,6 +60,30 @@ def test_fewer_poses_than_parameters_are_refused(count: int) -> None:
         diagnose([run_of(sweeps()[:count])])
 
 
+def of_a_drive(rows: int, lag_rows: float, steps: int = 12) -> list[Pose]:
+    """A log of a drive at commanded elevations, many rows at each: readings approach them exponentially."""
+    commanded_deg = np.repeat(np.tile([20.0, 90.0, 160.0], steps // 3), rows)
+    reading_deg = np.empty(len(commanded_deg))
+    behind = np.exp(-1.0 / lag_rows)
+    at_deg = commanded_deg[0]
+    for k, target_deg in enumerate(commanded_deg):
+        at_deg = reading_deg[k] = target_deg + (at_deg - target_deg) * behind
+    noise_deg = np.random.default_rng(3).normal(0.0, NOISE_DEG, len(reading_deg))
+    time_s = 0.05 * np.arange(len(reading_deg))
+    return posed(target_deg=commanded_deg, reading_deg=reading_deg + noise_deg, time_s=time_s)
+
+
+def test_rows_of_a_drive_that_was_still_on_its_way_are_refused() -> None:
+    with pytest.raises(
+        DiagnosisError, match="after a step of target_deg the readings take 11 rows to follow"
+    ):
+        told(of_a_drive(rows=40, lag_rows=5.0))
+
+
+def test_rows_of_a_dwell_that_had_nearly_settled_are_diagnosed() -> None:
+    assert told(of_a_drive(rows=10, lag_rows=0.4))["n_poses"] == 120
+
+
 @pytest.mark.parametrize("count", [8, 9, 12])
 def test_few_poses_are_diagnosed_without_inventing_anything(count: int) -> None:
     """In one draw: one in a hundred has something to say by itself."""

@@ -23,7 +23,7 @@ from calrig.calibration.regression.run_changes import (
     shapes_of,
     since,
 )
-from calrig.calibration.regression.terms import LEAST_TURN_DEG, THE_TURN
+from calrig.calibration.regression.terms import THE_TURN, goes_round
 from calrig.estimation.angles import FloatArray
 
 MOST_COLUMNS = 0.2
@@ -41,6 +41,7 @@ class Candidate:
         beside: another one whose columns come first, where both are considered as one.
         kind: the name, for an unnamed shape with its covariate: what it is, whenever it came.
         label: the kind, and between which runs it changed: what two forms of one thing share.
+        several: the effects it is made of, each by itself; empty of one.
         parameters: how many it adds to a model: coefficients, and one or two for a place that was scanned.
             One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang &
             Siegmund, Biometrics 63, 2007, for change points), and so does the choice of the runs that have
@@ -53,6 +54,7 @@ class Candidate:
     beside: Candidate | None = None
     kind: str = field(init=False)
     label: str = field(init=False)
+    several: tuple[Candidate, ...] = field(init=False)
     parameters: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -68,6 +70,11 @@ class Candidate:
             parameters += self.beside.parameters
             if self.changed is not None and self.beside.beside is not None:
                 label = f"{self.name} between all runs"
+        members: tuple[Candidate, ...] = ()
+        if self.beside is not None:
+            alone = Candidate(self.effect, self.shape, self.columns[:, :, before:])
+            members = (*self.beside.members, alone)
+        object.__setattr__(self, "several", members)
         object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "label", label)
         object.__setattr__(self, "parameters", parameters)
@@ -75,10 +82,7 @@ class Candidate:
     @property
     def members(self) -> tuple[Candidate, ...]:
         """The effects it is made of, each by itself."""
-        if self.beside is None:
-            return (self,)
-        width = self.beside.columns.shape[2]
-        return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+        return self.several or (self,)
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Return whether the coefficients (≥ p,), its own first, are any that physics allows."""
@@ -217,11 +221,6 @@ def companions_of(accepted: Sequence[Candidate]) -> set[str]:
 
 def _together(a: Candidate, b: Candidate) -> Candidate:
     return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
-
-
-def goes_round(r: Responses) -> bool:
-    """Return whether the poses cover a turn, so that its orders mean something."""
-    return float(np.ptp(r.theta_deg)) >= LEAST_TURN_DEG
 
 
 def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
