@@ -23,7 +23,7 @@ from calrig.run_ids import short_name
 if TYPE_CHECKING:
     from calrig.client.documents import RunRecord
     from calrig.model.base import Model
-    from calrig.model.diagnosis import Diagnosis, EffectFound
+    from calrig.model.diagnosis import BaseErrors, Diagnosis, EffectFound
     from calrig.model.noise import Coefficient, NoiseReport
     from calrig.model.result import Result
     from calrig.model.service import KnownUser, Membership, RigState
@@ -365,12 +365,23 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
         ("pure error", "", number(noise.pure_error_deg, "°")),
     ]
     print_table(("RMS", "before", "after"), rows)
+    for sentence in _of_base(base):
+        print_sentence(sentence)
     print_warnings(found.warnings)
     if found.follow_up is not None:
         sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
         names = " from ".join(EFFECTS[name].title for name in found.follow_up.separates)
         how = "its plan is in --json" if of_files else f"POST /api/runs/{found.runs[-1]}/follow-up"
         print_line(f"a follow-up run would separate {names} by {sigmas}: {how}")
+
+
+def _of_base(base: BaseErrors) -> Iterator[str]:
+    """Bias and scale, in which degrees RMS and sizes are, and why there is no error before."""
+    bias = angle_text(base.bias_deg)
+    scale = "not known" if base.scale is None else f"{base.scale:z.5f}".replace("-", "−")
+    yield f"before: bias {bias}, scale {scale}; RMS in degrees of elevation, sizes in degrees of the reading"
+    if base.fit_rms_deg is None:
+        yield "no error before is stated: with bias and scale alone the readings do not follow the stage"
 
 
 def print_fleet(found: dict[str, Any]) -> None:

@@ -271,20 +271,49 @@ def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
     """Return the same form of the same effect in other poses; None where they cannot show it.
 
+    What was one with another thing in its own poses may have further parameters in others, and what stood
+    alone there may be a part of the whole: `coefficients_in` says what its coefficients are in them.
+
     Args:
         candidate: as it was found, elsewhere.
         r: the poses to rebuild it in.
         form: another form of it.
     """
-    wanted = candidate.shape.form if form is None else form
-    shapes = list(candidate.effect.forms(r, candidate.shape.at))
-    forms = [
-        shape
-        for shape in changed_shapes(r, candidate.changed, shapes)
-        if shape.form == wanted and shape.covariate == candidate.shape.covariate
-    ]
-    nearest = _nearest(forms, candidate.shape.at)
-    return candidate_of(r, candidate.effect, nearest[0]) if nearest else None
+    beside = None if candidate.beside is None else rebuilt(candidate.beside, r)
+    if candidate.beside is not None and beside is None:
+        return None
+    shapes = changed_shapes(r, candidate.changed, list(candidate.effect.forms(r, candidate.shape.at)))
+    for wanted in (candidate.shape.form, candidate.shape.part_of) if form is None else (form,):
+        forms = [s for s in shapes if s.form == wanted and s.covariate == candidate.shape.covariate]
+        if form is None:
+            forms = [s for s in forms if {*candidate.shape.parameters} <= {*s.parameters}]
+        nearest = _nearest(forms, candidate.shape.at)
+        if nearest:
+            own = candidate_of(r, candidate.effect, nearest[0])
+            return own if beside is None else _together(beside, own)
+    return None
+
+
+def coefficients_in(there: Candidate, found: Candidate, beta: FloatArray) -> FloatArray | None:
+    """Return (q,) what coefficients (p,) of a candidate are where it was rebuilt in other poses.
+
+    A parameter that the poses it was found in did not show is 0. None where a column has another meaning.
+    """
+    own: list[FloatArray] = []
+    first = 0
+    for one, other in zip(found.members, there.members, strict=True):
+        width, wide = one.columns.shape[2], other.columns.shape[2]
+        names, wanted = one.shape.parameters, other.shape.parameters
+        sizes, first = beta[first : first + width], first + width
+        if names != wanted:
+            if len(names) != width or len(wanted) != wide or not {*names} <= {*wanted}:
+                return None
+            known = dict(zip(names, sizes, strict=True))
+            sizes = np.array([known.get(name, 0.0) for name in wanted])
+        elif width != wide:  # a curve of other knots
+            return None
+        own.append(sizes)
+    return np.concatenate(own)
 
 
 def documented_forms(

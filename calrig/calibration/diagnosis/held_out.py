@@ -117,7 +117,11 @@ def _in_all_poses(found: Candidate, r: Responses, candidates: Sequence[Candidate
     A curve built anew would have other knots where outliers have left, and its coefficients another meaning.
     """
     offered = (c for c in candidates if (c.label, c.shape.form) == (found.label, found.shape.form))
-    return next((c for c in offered if c.shape.at == found.shape.at), None) or rebuilt(found, r)
+    same = next((c for c in offered if c.shape.at == found.shape.at), None)
+    there = rebuilt(found, r) if same is None else same
+    if there is None or there.columns.shape[2] != found.columns.shape[2]:
+        return None  # the fold's coefficients mean nothing in other columns
+    return there
 
 
 def without_harm(

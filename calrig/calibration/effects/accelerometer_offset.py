@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from calrig.calibration.regression.effect import ELEVATION, Applied, Effect, Parameter, VectorError, VectorInC
+from calrig.calibration.regression.effect import (
+    ELEVATION,
+    Applied,
+    Effect,
+    Parameter,
+    Shape,
+    VectorError,
+    VectorInC,
+)
+from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
     MG,
     ON_VECTOR,
     c_literal,
+    said_of_two_signals,
     turns,
     vector_forms,
     where_axes_show,
@@ -23,6 +33,11 @@ def _on_vector_g(p: Applied) -> VectorError:
     return p.value(NAMES[0]) * MG, p.value(NAMES[1]) * MG
 
 
+def _evidence(r: Responses, shape: Shape) -> list[str]:
+    unread = said_of_two_signals(r, shape)
+    return unread or ["a calibration against gravity (`calrig gravity`) measures the offsets without a stage"]
+
+
 EFFECT = Effect(
     name="accelerometer_offset",
     title="Offset of the sensor's axes",
@@ -37,6 +52,7 @@ EFFECT = Effect(
     in_c=lambda p: VectorInC(*(c_literal(p.get(name, 0.0) * MG) for name in NAMES)),
     apart="clamped at another angle, the unit takes it along",
     seen_by_gravity="|accelerometer| changes as y·sin θ + z·cos θ",
-    remedy="subtract the offsets in the firmware, or calibrate against gravity",
+    remedy="subtract the offsets in the firmware",
+    evidence=_evidence,
     possible=within(y_mg=LARGEST_MG, z_mg=LARGEST_MG),
 )

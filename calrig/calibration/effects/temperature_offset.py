@@ -20,6 +20,7 @@ from calrig.calibration.regression.terms import (
     ON_VECTOR,
     c_literal,
     c_warmer,
+    said_of_two_signals,
     turns,
     vector_forms,
     warmer_c,
@@ -62,5 +63,6 @@ EFFECT = Effect(
     seen_by_gravity="|accelerometer| changes with temperature as y·sin θ + z·cos θ",
     remedy="wait until the unit is warm, or correct the offsets by its own thermometer",
     together_with=("accelerometer_offset",),
+    evidence=said_of_two_signals,
     possible=within(y_mg_per_c=LARGEST_MG_PER_C, z_mg_per_c=LARGEST_MG_PER_C),
 )

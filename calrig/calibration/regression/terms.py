@@ -101,6 +101,16 @@ def where_axes_show(r: Responses) -> Iterator[Parameters]:
         yield {}
 
 
+def said_of_two_signals(r: Responses, _shape: Shape) -> list[str]:
+    """Of an effect in mg where no accelerometer was read: evidence that says what it is a share of."""
+    if {ANGLE, NORM}.intersection(r.channels):
+        return []
+    return [
+        "the angle is taken for that of two signals, the sine y and the cosine z: 1 mg is a thousandth of "
+        "their amplitude"
+    ]
+
+
 def sin_cos(r: Responses) -> tuple[FloatArray, FloatArray]:
     """Return sine and cosine of θ."""
     theta = np.radians(r.theta_deg)
