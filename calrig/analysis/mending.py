@@ -17,11 +17,13 @@ from functools import partial
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Conflict
+from calrig.analysis.limits import keep_configured
 from calrig.analysis.results import refitted
-from calrig.analysis.revisions import Issuer
+from calrig.analysis.revisions import Issuer, Releases
 from calrig.analysis.stored_runs import counted_poses
 from calrig.analysis.unit_of_work import Fits, in_one_transaction
 from calrig.model.result import Result
+from calrig.settings import Settings
 from calrig.store import AcceptedEffect, Run, Store
 from calrig.store.trail import EVERY_ENTRY, Act, Entry, What
 
@@ -40,6 +42,15 @@ _FOLLOW: tuple[What, ...] = ("drafted", "released", "withdrawn")
 _FIGURES = "bias_deg", "scale", "rms_calibrated_deg", "rms_with_effects_deg"
 _SAME = 1e-6
 """Relative difference of figures that different versions compute from the same poses."""
+
+
+def issuer_of(store: Store, settings: Settings, releases: Releases) -> Issuer:
+    """Return who issues in a store that has been brought up to this version and to the configured limits."""
+    keep_configured(settings, store)
+    issuer = Issuer(store, releases)
+    issuer.bring_over()
+    mend(store, issuer)
+    return issuer
 
 
 def mend(store: Store, issuer: Issuer) -> list[str]:

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from calrig.analysis.errors import Conflict, Invalid
+from calrig.analysis.log_studies import Study, studied
 from calrig.analysis.stored_runs import known_unit, stored_run
 from calrig.estimation.angles import FloatArray
 from calrig.export.samples_csv import COLUMNS, sample_columns
@@ -21,11 +22,11 @@ from calrig.export.static_csv import read_static
 from calrig.store.records import Document, Run
 
 if TYPE_CHECKING:  # a process for heavy work loads no database
-    from calrig.noise.filters import FilterStudy
+    from calrig.analysis.log_studies import Found
+    from calrig.figures.files import Rows
     from calrig.store import Store
 
 
-Study = Literal["noise", "filters"]
 Answer = dict[str, Any]
 """The report of a log, and its pictures with their captions."""
 
@@ -55,10 +56,8 @@ def study_file(
         max_samples=MOST_SAMPLES,
         progress=lambda share: progress(share / 2),
     )
-    if study == "noise":
-        found = log.channels, log.time_s, rate_hz, log.warnings
-        return _noise(*found, progress=lambda share: progress((1 + share) / 2))
-    return _filters(log.channels, log.time_s, rate_hz, warnings=log.warnings)
+    found = log.channels, log.time_s, rate_hz, log.warnings
+    return _answer(study, *studied(study, *found, progress=lambda share: progress((1 + share) / 2)))
 
 
 def study_samples(study: Study, path: Path, names: Sequence[str], gyro_scale: float) -> Answer:
@@ -67,8 +66,7 @@ def study_samples(study: Study, path: Path, names: Sequence[str], gyro_scale: fl
     Raises:
         ValueError: they cannot be studied, and why.
     """
-    known, time_s = _columns(path, names)
-    return _noise(known, time_s) if study == "noise" else _filters(known, time_s, gyro_scale=gyro_scale)
+    return _answer(study, *studied(study, *_columns(path, names), gyro_scale=gyro_scale))
 
 
 def noise_of_samples(path: Path, names: Sequence[str]) -> Answer:
@@ -85,20 +83,10 @@ def _columns(path: Path, names: Sequence[str]) -> tuple[dict[str, FloatArray], F
     return {name: column for name, column in columns.items() if not np.isnan(column).all()}, time_s
 
 
-def _noise(
-    channels: dict[str, FloatArray],
-    time_s: FloatArray | None,
-    rate_hz: float | None = None,
-    warnings: Sequence[str] = (),
-    progress: Callable[[float], None] | None = None,
-) -> Answer:
-    from calrig.figures.noise import noise_figures
-    from calrig.noise.analysis import analyse
-    from calrig.noise.report import noise_document, said_first
-
-    found = analyse(channels, time_s, rate_hz, progress)
-    document = said_first(warnings, noise_document(found))
-    return {**_answer(document, noise_figures(found)), "stated": _stated(document)}
+def _answer(study: Study, report: Answer, draw: Callable[[], Rows]) -> Answer:
+    drawn = [{"caption": caption, "figure": figure} for row in draw() for caption, figure in row]
+    stated = {"stated": _stated(report)} if study == "noise" else {}
+    return {"report": report, "figures": drawn, **stated}
 
 
 def _stated(document: Answer) -> Answer:
@@ -113,26 +101,6 @@ def _stated(document: Answer) -> Answer:
         }
         for name, channel in document["channels"].items()
     }
-
-
-def _filters(
-    channels: dict[str, FloatArray],
-    time_s: FloatArray | None,
-    rate_hz: float | None = None,
-    gyro_scale: float = 1.0,
-    warnings: Sequence[str] = (),
-) -> Answer:
-    from calrig.figures.filters import filters_figures
-    from calrig.noise.filters import filters_document, study_filters
-    from calrig.noise.report import said_first
-
-    found = study_filters(channels, time_s, rate_hz, gyro_scale=gyro_scale)
-    return _answer(said_first(warnings, filters_document(found)), filters_figures(found))
-
-
-def _answer(report: Answer, figures: Sequence[Sequence[tuple[str, Any]]]) -> Answer:
-    drawn = [{"caption": caption, "figure": figure} for row in figures for caption, figure in row]
-    return {"report": report, "figures": drawn}
 
 
 NAMES = (*COLUMNS, "angle_deg")
@@ -210,7 +178,7 @@ def gyro_scale_of(run: Run) -> float:
     return 1.0 if scale is None else scale
 
 
-def filters_of_run(store: Store, run_id: str) -> FilterStudy:
+def filters_of_run(store: Store, run_id: str) -> Found:
     """The filters side by side on the moves and dwells of a run, with the gyro scale that it found.
 
     Raises:
@@ -218,8 +186,6 @@ def filters_of_run(store: Store, run_id: str) -> FilterStudy:
         Conflict: its samples are gone.
         Invalid: no filter can be run over them.
     """
-    from calrig.noise.filters import study_filters
-
     run = stored_run(store, run_id)
     samples = store.samples.of(run_id)
     if not len(samples):
@@ -227,7 +193,7 @@ def filters_of_run(store: Store, run_id: str) -> FilterStudy:
     columns = sample_columns(samples)
     time_s = columns.pop("time_s")
     try:
-        return study_filters(columns, time_s, gyro_scale=gyro_scale_of(run))
+        return studied("filters", columns, time_s, gyro_scale=gyro_scale_of(run))
     except ValueError as error:
         raise Invalid(f"run {run_id}: {error}") from error
 

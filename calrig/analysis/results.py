@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calrig.calibration.poses import Pose, of_first_mount
-from calrig.calibration.results import (
-    FittedResult,
-    build_result,
-    residuals,
-)
+from calrig.calibration.results import FittedResult, build_result, residuals
 from calrig.calibration.separation import beyond_in_words, dial_of, map_reference
 from calrig.calibration.uncertainty import AS_PLANNED, Ending
 from calrig.model.result import Gyro, Reference, Result

@@ -346,10 +346,6 @@ class NoDrafts(Issuer):
         """None."""
         return None
 
-    def bring_over(self) -> list[Revision]:
-        """None."""
-        return []
-
 
 def _figures(document: Document) -> Document:
     """Return bias, scale and U of a document, with their standard errors."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Literal
 
+from calrig.analysis.check_standard import with_doubts
 from calrig.analysis.errors import Invalid
 from calrig.store import Store
 from calrig.store.errors import StoreError
@@ -19,16 +21,20 @@ def found_runs(
     """Return a page of runs as `Store.runs.search` does; with a verdict a short page need not be the last.
 
     Raises:
-        ValueError: as there.
+        Invalid: the cursor is not one that a page gave.
     """
-    if judged is None:
-        items, next_cursor = store.runs.search(sought, limit=limit, cursor=cursor)
-        return RunPage(items, next_cursor, items[-1].created_at if items else None)
-    found = store.verdicts.judged_runs(sought, judged, limit=limit, cursor=cursor)
+    try:
+        if judged is None:
+            items, next_cursor = store.runs.search(sought, limit=limit, cursor=cursor)
+            found = RunPage(items, next_cursor, items[-1].created_at if items else None)
+        else:
+            found = store.verdicts.judged_runs(sought, judged, limit=limit, cursor=cursor)
+    except ValueError as error:
+        raise Invalid(str(error)) from error
     if found.judged_whole:
         with suppress(StoreError):  # it only makes the next search faster
             store.verdicts.judge(found.judged_whole)
-    return found
+    return replace(found, items=with_doubts(store, found.items))
 
 
 def moment_of(said: str | None, name: Literal["from", "to"]) -> datetime | None:

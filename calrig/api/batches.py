@@ -16,7 +16,7 @@ from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context
 from calrig.api.jobs import Heavy
 from calrig.api.models import Body
-from calrig.api.routes import answers, problems
+from calrig.api.routes import CHANGES, answers, problems
 from calrig.model.base import Model
 from calrig.model.plan import Plan
 from calrig.model.run import Mount, Progress, Status
@@ -219,7 +219,7 @@ def show_batch(batch_id: str, context: Context, if_none_match: Annotated[str, He
 
 @router.post(
     "/api/batches/{batch_id}/units",
-    **answers(BatchAnswer, "Add units to a batch", 404, 409, 413, 422, role="operator"),
+    **answers(BatchAnswer, "Add units to a batch", *CHANGES, role="operator"),
 )
 def add_units(batch_id: str, body: UnitsBody, context: Context) -> object:
     """Added at the end. Units of the batch stay where they are and are listed in `known`, unless they failed.

@@ -16,7 +16,7 @@ from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.models import Body, Reason, ReasonIfAny
-from calrig.api.routes import BYTES, TEXT, answers
+from calrig.api.routes import BYTES, CHANGES, TEXT, answers
 from calrig.export.formats import NoiseExporter, Source, exporter_of, exporters, format_names
 from calrig.model.base import Model
 from calrig.model.calibration import Calibration, IssuedAct, Revision
@@ -130,7 +130,7 @@ def list_revisions(unit: KnownUnit, context: Context) -> object:
 
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/release",
-    **answers(Revision, "Put a revision in force", 404, 409, 413, 422, role="releaser"),
+    **answers(Revision, "Put a revision in force", *CHANGES, role="releaser"),
 )
 def release(
     unit: KnownUnit, revision: Number, context: Context, who: Who, body: ReasonIfAny | None = None
@@ -146,7 +146,7 @@ def release(
 
 @router.post(
     "/api/units/{serial:path}/calibrations/{revision}/withdraw",
-    **answers(Revision, "Withdraw a revision permanently", 404, 409, 413, 422, role="releaser"),
+    **answers(Revision, "Withdraw a revision permanently", *CHANGES, role="releaser"),
 )
 def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, who: Who) -> object:
     """If it was in force, the unit has no calibration in force afterwards."""
@@ -157,14 +157,7 @@ def withdraw(unit: KnownUnit, revision: Number, body: Reason, context: Context, 
 @router.post(
     "/api/units/{serial:path}/calibrations",
     **answers(
-        Revision,
-        "Draft a calibration from a run or a joint solution",
-        404,
-        409,
-        413,
-        422,
-        role="operator",
-        status=201,
+        Revision, "Draft a calibration from a run or a joint solution", *CHANGES, role="operator", status=201
     ),
 )
 def draft(unit: KnownUnit, body: NewDraft, context: Context, who: Who) -> object:

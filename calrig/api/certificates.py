@@ -12,7 +12,7 @@ from calrig.api.access import Who
 from calrig.api.context import Context, KnownUnit
 from calrig.api.jobs import Heavy
 from calrig.api.models import Body
-from calrig.api.routes import BYTES, TEXT, answers
+from calrig.api.routes import BYTES, CHANGES, TEXT, answers
 from calrig.model.base import Model
 from calrig.store.certificates import IssuedCertificate
 
@@ -50,10 +50,7 @@ class CertificateAnswer(IssuedCertificate):
     **answers(
         CertificateAnswer,
         "Issue the certificate of a revision",
-        404,
-        409,
-        413,
-        422,
+        *CHANGES,
         429,
         501,
         role="releaser",

@@ -14,7 +14,7 @@ from calrig.api.context import Context, KnownRun
 from calrig.api.job import Job
 from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import Body, RunAnswer
-from calrig.api.routes import answers
+from calrig.api.routes import CHANGES, answers
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.regression import (
@@ -62,16 +62,7 @@ class TakeBack(Accept):
 
 @router.post(
     "/api/runs/{run_id}/diagnosis",
-    **answers(
-        Diagnosis,
-        "Trace what bias and scale leave of a run",
-        404,
-        409,
-        413,
-        422,
-        role="operator",
-        as_job=True,
-    ),
+    **answers(Diagnosis, "Trace what bias and scale leave of a run", *CHANGES, role="operator", as_job=True),
 )
 async def diagnose(run: KnownRun, body: Diagnose, context: Context, heavy: Heavy, wait: Wait = True) -> Any:
     """With more runs of the unit where `runs` names them. The document is kept with the run.
@@ -101,7 +92,7 @@ def last_diagnosis(run: KnownRun, context: Context) -> object:
 
 @router.post(
     "/api/runs/{run_id}/diagnosis/accept",
-    **answers(RunAnswer, "Put effects of a diagnosis in force", 404, 409, 413, 422, role="releaser"),
+    **answers(RunAnswer, "Put effects of a diagnosis in force", *CHANGES, role="releaser"),
 )
 def accept(run: KnownRun, body: Accept, context: Context, who: Who) -> Run:
     """From now on: those of the sensor for the unit, those of the stage for the rig."""
@@ -110,7 +101,7 @@ def accept(run: KnownRun, body: Accept, context: Context, who: Who) -> Run:
 
 @router.post(
     "/api/runs/{run_id}/diagnosis/withdraw",
-    **answers(RunAnswer, "Take accepted effects back", 404, 409, 413, 422, role="releaser"),
+    **answers(RunAnswer, "Take accepted effects back", *CHANGES, role="releaser"),
 )
 def take_back(run: KnownRun, body: TakeBack, context: Context, who: Who) -> Run:
     """What was accepted from this run is in force no more; what was accepted before it is so again."""

@@ -14,7 +14,7 @@ from calrig.api.context import Context
 from calrig.api.job import Job
 from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import RunAnswer
-from calrig.api.routes import answers
+from calrig.api.routes import UPLOADS, answers
 from calrig.calibration.regression import AssumedReference
 from calrig.export.csv_errors import CsvError
 from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
@@ -27,17 +27,7 @@ router = APIRouter(tags=["runs"])
 @router.post(
     "/api/imports",
     max_body_size=POSES_BYTES,
-    **answers(
-        RunAnswer,
-        "Make a run of a CSV of poses",
-        408,
-        413,
-        422,
-        503,
-        role="operator",
-        as_job=True,
-        status=201,
-    ),
+    **answers(RunAnswer, "Make a run of a CSV of poses", *UPLOADS, role="operator", as_job=True, status=201),
 )
 async def import_poses(
     context: Context,

@@ -7,9 +7,9 @@ from fastapi import APIRouter, Depends, File, Form, Request, UploadFile
 from starlette.concurrency import run_in_threadpool
 
 from calrig.analysis.errors import Invalid, Unknown
+from calrig.analysis.log_studies import Study
 from calrig.analysis.noise_studies import (
     NAMES,
-    Study,
     gyro_scale_of,
     lay_samples,
     require_static,
@@ -21,7 +21,7 @@ from calrig.api.body_limits import LOG_BYTES, copied, name_of, on_disk
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.job import Job
 from calrig.api.jobs import BackgroundWork, Heavy, Wait
-from calrig.api.routes import answers
+from calrig.api.routes import UPLOADS, answers
 from calrig.model.base import Model
 from calrig.model.noise import FiltersStudy, NoiseStudy
 from calrig.store import Run
@@ -77,7 +77,7 @@ UploadedLog = Annotated[Log, Depends()]
 @router.post(
     "/api/noise",
     max_body_size=LOG_BYTES,
-    **answers(NoiseStudy, "The noise in a log from anybody's sensor", 408, 413, 422, 503, as_job=True),
+    **answers(NoiseStudy, "The noise in a log from anybody's sensor", *UPLOADS, as_job=True),
 )
 async def log_noise(
     heavy: Heavy, context: Context, keeper: Keeper, log: UploadedLog, wait: Wait = True
@@ -89,15 +89,7 @@ async def log_noise(
 @router.post(
     "/api/filters",
     max_body_size=LOG_BYTES,
-    **answers(
-        FiltersStudy,
-        "The filters side by side on a log from anybody's sensor",
-        408,
-        413,
-        422,
-        503,
-        as_job=True,
-    ),
+    **answers(FiltersStudy, "The filters side by side on a log from anybody's sensor", *UPLOADS, as_job=True),
 )
 async def log_filters(
     heavy: Heavy, context: Context, keeper: Keeper, log: UploadedLog, wait: Wait = True

@@ -18,7 +18,7 @@ from calrig.api.access import Who
 from calrig.api.context import ApiContext, Context
 from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.models import Body
-from calrig.api.routes import answers
+from calrig.api.routes import CHANGES, answers
 from calrig.model.base import Model
 from calrig.model.noise import Figure
 from calrig.model.solution import ErrorMap
@@ -131,13 +131,7 @@ def show_map(name: str, context: Context) -> object:
 @router.post(
     "/api/rigs/{name}/map",
     **answers(
-        StageMapAnswer | None,
-        "Put the map of a solution in force, or withdraw it",
-        404,
-        409,
-        413,
-        422,
-        role="admin",
+        StageMapAnswer | None, "Put the map of a solution in force, or withdraw it", *CHANGES, role="admin"
     ),
 )
 def put_map(name: str, body: PutMap, context: Context, who: Who) -> object:

@@ -25,6 +25,10 @@ WORDS = {
     503: "The store or the disk is full, the store locked or read-only, too many uploads or event streams "
     "are in hand, or a process was killed",
 }
+CHANGES = 404, 409, 413, 422
+"""Errors of a path that changes something it names."""
+UPLOADS = 408, 413, 422, 503
+"""Errors of a path that takes a file."""
 TEXT = {"schema": {"type": "string"}}
 BYTES = {"schema": {"type": "string", "format": "binary"}}
 Responses = dict[int | str, dict[str, Any]]

@@ -12,22 +12,12 @@ from pydantic import Field
 
 import calrig
 from calrig.analysis.check_standard import with_doubts
-from calrig.analysis.errors import Invalid
 from calrig.analysis.run_search import found_runs, moment_of
 from calrig.api.access import Who
 from calrig.api.context import Context, KnownRun
 from calrig.api.jobs import answer_of
-from calrig.api.models import (
-    Body,
-    Health,
-    Reason,
-    ReasonIfAny,
-    ResumeRun,
-    RunAnswer,
-    RunList,
-    StartRun,
-)
-from calrig.api.routes import answers
+from calrig.api.models import Body, Health, Reason, ReasonIfAny, ResumeRun, RunAnswer, RunList, StartRun
+from calrig.api.routes import CHANGES, answers
 from calrig.instruments import scan as ports
 from calrig.instruments.clock import WALL
 from calrig.instruments.scan import Found, stanza
@@ -104,9 +94,7 @@ def withdraw_stop(name: str, context: Context, who: Who) -> None:
     context.store.commands.withdraw_stop(name, who=who)
 
 
-@router.post(
-    "/api/runs", **answers(RunAnswer, "Start a run", 404, 409, 413, 422, role="operator", status=201)
-)
+@router.post("/api/runs", **answers(RunAnswer, "Start a run", *CHANGES, role="operator", status=201))
 def start_run(body: StartRun, context: Context, who: Who) -> Run:
     """Everything but `unit` is optional. A busy rig is 409; `queued` lasts until somebody begins the run.
 
@@ -149,13 +137,10 @@ def list_runs(
         kind=kind,
         follows=follows,
     )
-    try:
-        found = found_runs(context.store, sought, verdict, limit, cursor)
-    except ValueError as error:
-        raise Invalid(str(error)) from error
+    found = found_runs(context.store, sought, verdict, limit, cursor)
     if found.back_to is not None:
         response.headers[BACK_TO] = iso_utc(found.back_to)
-    return {"items": with_doubts(context.store, found.items), "next_cursor": found.next_cursor}
+    return {"items": found.items, "next_cursor": found.next_cursor}
 
 
 @router.get("/api/runs/{run_id}", **answers(RunAnswer, "One run", 404))
@@ -177,7 +162,7 @@ def acts_on_run(
     path: str, role: Role, summary: str, *problem_codes: int
 ) -> Callable[[Callable[..., Run]], Callable[..., Run]]:
     """Return the decorator of a path that does something to the run it names and answers with the run."""
-    codes = problem_codes or (404, 409, 413, 422)
+    codes = problem_codes or CHANGES
     return router.post(f"/api/runs/{{run_id}}/{path}", **answers(RunAnswer, summary, *codes, role=role))
 
 

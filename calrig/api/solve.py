@@ -17,7 +17,7 @@ from calrig.api.context import ApiContext, Context
 from calrig.api.job import Job
 from calrig.api.jobs import Heavy, Wait
 from calrig.api.models import Body
-from calrig.api.routes import answers
+from calrig.api.routes import CHANGES, answers
 from calrig.calibration.poses import DiagnosisError
 from calrig.export.solution_documents import in_file
 from calrig.figures.joint import joint_figure
@@ -81,14 +81,7 @@ KnownSolution = Annotated[StoredSolution, Depends(_known_solution)]
 @router.post(
     "/api/solve",
     **answers(
-        Solution,
-        "Solve stage, mounts and units of runs together",
-        404,
-        409,
-        413,
-        422,
-        role="operator",
-        as_job=True,
+        Solution, "Solve stage, mounts and units of runs together", *CHANGES, role="operator", as_job=True
     ),
 )
 async def solve(body: Solve, context: Context, heavy: Heavy, who: Who, wait: Wait = True) -> Any:

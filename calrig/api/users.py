@@ -9,7 +9,7 @@ from calrig.api.access import Who, requires
 from calrig.api.context import Context
 from calrig.api.login import Auth
 from calrig.api.models import Body
-from calrig.api.routes import answers
+from calrig.api.routes import CHANGES, answers
 from calrig.model.service import KnownUser, Role
 from calrig.store.users import NAME, User
 
@@ -58,7 +58,7 @@ def new_token(name: str, context: Context, auth: Auth, who: Who) -> object:
     return _with_token(user, token)
 
 
-@router.post("/api/users/{name}/role", **answers(KnownUser, "Give a user another role", 404, 409, 413, 422))
+@router.post("/api/users/{name}/role", **answers(KnownUser, "Give a user another role", *CHANGES))
 def set_role(name: str, body: NewRole, context: Context, auth: Auth, who: Who) -> object:
     """The role takes effect at once, also in sessions. The last admin keeps that role."""
     user = context.store.users.set_role(name, body.role, who=who)

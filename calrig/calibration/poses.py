@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from calrig.calibration.line import reading_error_deg
 from calrig.estimation.angles import FloatArray, wrap_deg
@@ -270,9 +272,12 @@ def same(a: FloatArray, b: FloatArray) -> bool:
     return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
 
 
-FEWEST_AT_END, WIDER = 3, 3.0
-"""Elevations with the same highest or lowest reading, over so many times the arc that any other reading
-stands for, are beyond the end of the sensor's range."""
+FEWEST_AT_END, MOST_AT_END, WIDER = 3, 3, 3.0
+"""Elevations with the same highest or lowest reading, or so many neighbouring ones, over so many times the
+arc that as many others stand for, are beyond the end of the sensor's range."""
+MOSTLY, LEAST_BEYOND, STILL = 0.75, 0.02, 5.0
+"""Of the poses among them, how many read so; of the whole arc, the least that they cover; and how many times
+their own spread the readings would have changed over it."""
 FEWEST_FOR_UNIT_DEG, STRAIGHT, MOST_PER_DEG = 5.0, 0.3, 2.5
 """A unit shows over so many degrees, in readings that a straight line explains but for this share of their
 standard deviation; at a steeper slope they are no degrees."""
@@ -300,18 +305,81 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
         )
 
 
+MOST_LAGGING = 0.2
+"""Of a step, what readings that follow change by at least."""
+STAYS, FEWEST_STEPS, HALF_WAY, ARRIVED = 3, 3, 0.5, 0.9
+"""Rows before and after a step at unchanged elevation; steps that tell; of the way of the reading between
+them, what a stage that was waited for has behind it at its first row, and where it counts as there."""
+
+
+def refuse_what_is_on_its_way(theta: FloatArray, reading: FloatArray) -> None:
+    """Raise DiagnosisError where rows of one run were taken while the readings still followed a step.
+
+    A log of a drive has the elevation that was commanded, and many rows before the drive is there.
+    """
+    ends = np.append(np.flatnonzero(np.diff(theta) != 0.0), len(theta) - 1)
+    begins = np.append(0, ends[:-1] + 1)
+    whole, rows = [], []
+    for k in range(1, len(ends)):
+        if min(ends[k] - begins[k], ends[k - 1] - begins[k - 1]) < STAYS - 1:
+            continue
+        moved = reading[begins[k] : ends[k] + 1] - reading[ends[k - 1]]
+        if abs(moved[-1]) < MOST_LAGGING * abs(theta[begins[k]] - theta[ends[k - 1]]):
+            continue  # it does not follow, or wraps
+        way = moved / moved[-1]
+        whole.append(way[0])
+        rows.append(int(np.argmax(way >= ARRIVED)))
+    if len(whole) >= FEWEST_STEPS and np.median(whole) < HALF_WAY:
+        raise DiagnosisError(
+            f"after a step of target_deg the readings take {np.median(rows):.0f} rows to follow, by "
+            f"{100.0 * np.median(whole):.0f} % in the first: leave out the rows on the way, or give the "
+            "elevation that was measured with each reading"
+        )
+
+
 def _refuse_its_ends(theta: FloatArray, reading: FloatArray) -> None:
     """Raise DiagnosisError where the readings stop at their highest or lowest while the elevation goes on."""
     values, which = np.unique(reading, return_inverse=True)
+    ends = (
+        _end_of_range(theta, which, values),
+        _end_of_range(-theta, len(values) - 1 - which, -values[::-1]),
+    )
+    stops = [
+        f"at {value:g} from {theta[there].min():g}° to {theta[there].max():g}° ({len(there)} poses)"
+        for value, there in zip((values[0], values[-1]), ends, strict=True)
+        if len(there)
+    ]
+    if stops:
+        raise DiagnosisError(
+            f"the readings stop {' and '.join(stops)}: if the sensor's range ends there, leave these poses "
+            "out"
+        )
+
+
+def _end_of_range(theta: FloatArray, which: npt.NDArray[np.intp], values: FloatArray) -> npt.NDArray[np.intp]:
+    """Return the poses that read the lowest of the values (k,), or a count or two away, as beyond a range.
+
+    Their elevations lie together, over far more than the readings account for and than as many neighbouring
+    values stand for elsewhere: coarse counts are no stop, nor is a rest at one angle.
+    """
     low, high = np.full(len(values), np.inf), np.full(len(values), -np.inf)
     np.minimum.at(low, which, theta)
     np.maximum.at(high, which, theta)
-    arcs = high - low
-    for end in (0, -1):
-        there = theta[reading == values[end]]
-        is_wide = arcs[end] > WIDER * arcs[1:-1].max(initial=0.0)
-        if is_wide and len(np.unique(there)) >= FEWEST_AT_END and 2 * len(there) < len(theta):
-            raise DiagnosisError(
-                f"the readings stop at {values[end]:g} from {low[end]:g}° to {high[end]:g}° ({len(there)} "
-                "poses): if the sensor's range ends there, leave these poses out"
-            )
+    per_deg = (values[-1] - values[0]) / np.ptp(theta)
+    for count in range(min(MOST_AT_END, len(values) // 3), 0, -1):
+        there = np.flatnonzero(which < count)
+        least, most = theta[there].min(), theta[there].max()
+        arc_deg = most - least
+        within = np.count_nonzero((theta >= least) & (theta <= most))
+        tops, bottoms = (sliding_window_view(one[count:-count], count) for one in (high, low))
+        others_deg = tops.max(axis=1) - bottoms.min(axis=1)
+        if (
+            len(np.unique(theta[there])) >= FEWEST_AT_END
+            and 2 * len(there) < len(theta)
+            and len(there) > MOSTLY * within
+            and arc_deg > WIDER * others_deg.max()
+            and arc_deg > LEAST_BEYOND * np.ptp(theta)
+            and per_deg * arc_deg > max(STILL * (values[count - 1] - values[0]), np.diff(values).min())
+        ):
+            return there
+    return np.array([], dtype=np.intp)

@@ -72,6 +72,12 @@ def static_poses(
         GravityError: the log is too short for a window, or is never static.
     """
     rows = len(accel_g)
+    if rows < FEWEST_POSES:
+        raise GravityError(
+            f"too few rows ({rows}): at least {FEWEST_POSES} positions are needed (six unknowns, and "
+            f"something to judge them by); add {FEWEST_POSES - rows} more with one row for each, or "
+            "record a log of several seconds in each"
+        )
 
     def means(spans: list[Span], finding: str, time_s: FloatArray | None = time_s) -> StaticPoses:
         return poses_of(spans, accel_g, time_s=time_s, temperature_c=temperature_c, finding=finding)
@@ -106,7 +112,7 @@ def static_poses(
 def has_one_row_a_pose(accel_g: FloatArray) -> bool:
     """Return whether consecutive rows differ by far more than what no attitude explains of a row."""
     rows = len(accel_g)
-    if not FEWEST_POSES <= rows <= MOST_POSITIONS:
+    if rows > MOST_POSITIONS:
         return False
     poses = poses_of([(k, k + 1) for k in range(rows)], accel_g)
     if undetermined_base(poses):

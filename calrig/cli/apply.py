@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import IO, Annotated
+from typing import Annotated
 
 import typer
 
@@ -43,7 +43,7 @@ def apply(
     name = STDIN if readings is None else str(readings)
     try:
         applier = Applier(Application.of_document(document))
-        with nullcontext(sys.stdin.buffer) if readings is None else _opened(readings) as stream:
+        with nullcontext(sys.stdin.buffer) if readings is None else readings.open("rb") as stream:
             for rows in applier.rows(stream):
                 sys.stdout.write(rows)
     except CsvError as error:
@@ -56,10 +56,3 @@ def apply(
         raise InputError(f"{name}: cannot be read ({error.strerror})") from error
     for sentence in applier.warnings():
         typer.echo(f"calrig apply: {printable(f'{name}: {sentence}')}", err=True)
-
-
-def _opened(file: Path) -> IO[bytes]:
-    try:
-        return file.open("rb")
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from error

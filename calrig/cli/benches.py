@@ -62,7 +62,7 @@ def revoke(name: Name, db: Db = None, server: Server = None) -> None:
 @app.command("list")
 def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
     """List the benches, those that were revoked as well."""
-    from calrig.cli.output import print_benches, print_json
+    from calrig.cli.output import print_benches, show
 
     if server:
         from calrig.client.documents import each
@@ -72,10 +72,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
     else:
         with open_store(db) as store:
             benches = store.enrolment.benches()
-    if as_json:
-        print_json([bench.model_dump(mode="json") for bench in benches])
-    else:
-        print_benches(benches)
+    show(benches, print_benches, as_json=as_json)
 
 
 @contextmanager

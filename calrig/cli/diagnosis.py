@@ -119,10 +119,7 @@ def gravity(
     document = gravity_document(found, log.line_of)
     of_time = [f"time_s {log.time_flaw}; not used"] if log.time_flaw else []
     document["warnings"] = [*of_time, *log.warnings, *document["warnings"]]
-    if as_json:
-        output.print_json(document)
-    else:
-        output.print_gravity(document)
+    output.show(document, output.print_gravity, as_json=as_json)
 
 
 def _drawn(found: dict[str, Any], runs: Sequence[Sequence[Pose]]) -> Rows:

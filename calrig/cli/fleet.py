@@ -48,10 +48,7 @@ def fleet(
         kept_in = nullcontext(store) if out is None else open_store(out, writer="fleet")
         with kept_in as results:
             found = reanalyse(store, results, partial(_workers, scheduler), late_bar, poses)
-    if as_json:
-        output.print_json(found)
-    else:
-        output.print_fleet(found)
+    output.show(found, output.print_fleet, as_json=as_json)
 
 
 def _opened(db: str | None, *, writes: bool) -> Store:

@@ -25,9 +25,7 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
     Raises:
         InputError: rigs are configured here, which no centre carries runs out on.
     """
-    from calrig.analysis.limits import keep_configured
-    from calrig.analysis.mending import mend
-    from calrig.analysis.revisions import Issuer
+    from calrig.analysis.mending import issuer_of
     from calrig.settings import DEMO_RIG
     from calrig.store import Store
 
@@ -38,13 +36,10 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
             "calrig.toml of a bench, which `calrig agent` runs on the machine with the ports"
         )
     with Store.open(url, writer=command) as store:
-        keep_configured(settings, store)
         from calrig.centre.bench_rigs import BenchRigs
         from calrig.centre.service import CentreService
 
-        issuer = Issuer(store, BenchRigs(store).releases())
-        issuer.bring_over()
-        mend(store, issuer)
+        issuer_of(store, settings, BenchRigs(store).releases())
         with closing(CentreService(store, url)) as service:
             yield service
 
@@ -76,8 +71,8 @@ def local_service(
         with ThreadPoolExecutor(1) as beside:
             starting = beside.submit(lambda: [stack.enter_context(_with_ports(rig)) for rig in rigs])
             from calrig.analysis.limits import keep_configured
-            from calrig.analysis.mending import mend
-            from calrig.analysis.revisions import Issuer, NoDrafts, Releases
+            from calrig.analysis.mending import issuer_of
+            from calrig.analysis.revisions import NoDrafts, Releases
             from calrig.analysis.stage_maps import configured_maps
             from calrig.runs.run_queue import mark_interrupted, stop_stages
             from calrig.runs.service import RunService
@@ -98,11 +93,11 @@ def local_service(
 
             store = stack.enter_context(Store.open(url, writer=command, left_by_the_dead=stop))
             mark_interrupted(store, troubles, keeps_queue=drafts)
-            keep_configured(settings, store)
-            issuer = Issuer(store, Releases.of(rigs)) if drafts else NoDrafts(store)
-            issuer.bring_over()
             if drafts:
-                mend(store, issuer)
+                issuer = issuer_of(store, settings, Releases.of(rigs))
+            else:
+                keep_configured(settings, store)
+                issuer = NoDrafts(store)
             powered = starting.result()
         service = RunService(store, powered, record, issuer, maps)
         stack.callback(service.close)

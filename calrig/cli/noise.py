@@ -15,16 +15,10 @@ from calrig.cli.running_service import NAMED, open_store, running_service, whole
 from calrig.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
+    from calrig.analysis.log_studies import Found, Study
     from calrig.client import Client
-    from calrig.export.static_csv import StaticLog
     from calrig.figures.files import Rows
     from calrig.model.noise import FiltersStudy, NoiseStudy
-    from calrig.noise.filters import FilterStudy
-
-    Found = tuple[dict[str, Any], Callable[[], Rows]]
-    """A document, and what draws it."""
 
 READING = 0.4
 """Share of an analysis of noise that goes into reading its file."""
@@ -53,7 +47,7 @@ def noise(
     write = None if plot is None else writer_of(plot)
     given = _Recorded(rate_hz=rate, accel_range_g=accel_range, gyro_range_dps=gyro_range)
     there = running_service(server, None) if server else None
-    document, draw = _noise_here(file, given) if there is None else _noise_there(there, file, given)
+    document, draw = _of_file("noise", file, given) if there is None else _noise_there(there, file, given)
     if write is not None:
         write(file.name, draw())
     if as_json:
@@ -91,13 +85,10 @@ def filters(
     if there is not None:
         document, draw = _filters_there(there, source, given, is_file=is_file)
     else:
-        document, draw = _filters_of_file(Path(source), given) if is_file else _filters_of_run(source, db)
+        document, draw = _of_file("filters", Path(source), given) if is_file else _filters_of_run(source, db)
     if write is not None:
         write(source, draw())
-    if as_json:
-        output.print_json(document)
-    else:
-        output.print_filters(document)
+    output.show(document, output.print_filters, as_json=as_json)
 
 
 class _Recorded(TypedDict):
@@ -108,35 +99,18 @@ class _Recorded(TypedDict):
     gyro_range_dps: int | None
 
 
-def _read(file: Path, given: _Recorded, show: Callable[[float], None]) -> StaticLog:
-    """The log of a file, which takes the first part of the bar."""
-    ranges = given["accel_range_g"], given["gyro_range_dps"]
-    return read_log_file(file, *ranges, lambda share: show(READING * share))
-
-
-def _noise_here(file: Path, given: _Recorded) -> Found:
+def _of_file(study: Study, file: Path, given: _Recorded) -> Found:
+    from calrig.analysis.log_studies import studied
     from calrig.cli.progress import late_bar
-    from calrig.noise.analysis import analyse
-    from calrig.noise.report import noise_document, said_first
 
     with late_bar(file.name) as show:
-        log = _read(file, given, show)
+        ranges = given["accel_range_g"], given["gyro_range_dps"]
+        log = read_log_file(file, *ranges, lambda share: show(READING * share))
         try:
-            found = analyse(
-                log.channels,
-                log.time_s,
-                given["rate_hz"],
-                lambda share: show(READING + (1.0 - READING) * share),
-            )
+            found = log.channels, log.time_s, given["rate_hz"], log.warnings
+            return studied(study, *found, progress=lambda share: show(READING + (1.0 - READING) * share))
         except ValueError as error:
             raise InputError(f"{file}: {error}") from error
-
-    def draw() -> Rows:
-        from calrig.figures.noise import noise_figures
-
-        return noise_figures(found)
-
-    return said_first(log.warnings, noise_document(found)), draw
 
 
 def _noise_there(client: Client, file: Path, given: _Recorded) -> Found:
@@ -147,37 +121,12 @@ def _noise_there(client: Client, file: Path, given: _Recorded) -> Found:
     return study.report.model_dump(mode="json"), lambda: _drawn(study)
 
 
-def _filters_of_file(file: Path, given: _Recorded) -> Found:
-    from calrig.cli.progress import late_bar
-    from calrig.noise.filters import study_filters
-
-    with late_bar(file.name) as show:
-        log = _read(file, given, show)
-        try:
-            found = study_filters(log.channels, log.time_s, given["rate_hz"])
-        except ValueError as error:
-            raise InputError(f"{file}: {error}") from error
-    return _of_study(found, log.warnings)
-
-
 def _filters_of_run(run_id: str, db: str | None) -> Found:
     from calrig.analysis.noise_studies import filters_of_run
     from calrig.cli.progress import late_bar
 
     with open_store(db) as store, late_bar("comparing filters"):
-        return _of_study(filters_of_run(store, whole_id(store, run_id)), ())
-
-
-def _of_study(found: FilterStudy, warnings: Sequence[str]) -> Found:
-    from calrig.noise.filters import filters_document
-    from calrig.noise.report import said_first
-
-    def draw() -> Rows:
-        from calrig.figures.filters import filters_figures
-
-        return filters_figures(found)
-
-    return said_first(warnings, filters_document(found)), draw
+        return filters_of_run(store, whole_id(store, run_id))
 
 
 def _filters_there(client: Client, source: str, given: _Recorded, *, is_file: bool) -> Found:

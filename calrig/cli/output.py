@@ -6,8 +6,9 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
+from operator import methodcaller
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 from rich.cells import cell_len
@@ -22,7 +23,7 @@ from calrig.run_ids import short_name
 if TYPE_CHECKING:
     from calrig.client.documents import RunRecord
     from calrig.model.base import Model
-    from calrig.model.diagnosis import Diagnosis, EffectFound
+    from calrig.model.diagnosis import BaseErrors, Diagnosis, EffectFound
     from calrig.model.noise import Coefficient, NoiseReport
     from calrig.model.result import Result
     from calrig.model.service import KnownUser, Membership, RigState
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from calrig.settings import RigSettings
     from calrig.store.moving import Moved
 
+T = TypeVar("T")
 FRAME = "│  "
 """Of a column."""
 
@@ -140,8 +142,14 @@ def number(value: float | None, unit: str, decimals: int = 4) -> str:
 
 
 def print_json(document: object) -> None:
-    """Prints a document; what is not known is null in it, never NaN."""
-    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    """Prints a document, or models in it; what is not known is null in it, never NaN."""
+    plain = methodcaller("model_dump", mode="json")
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False, default=plain))
+
+
+def show(found: T, in_words: Callable[[T], None], *, as_json: bool) -> None:
+    """Prints what was found, as JSON or in words."""
+    (print_json if as_json else in_words)(found)
 
 
 def print_result(run: RunRecord) -> None:
@@ -357,12 +365,23 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
         ("pure error", "", number(noise.pure_error_deg, "°")),
     ]
     print_table(("RMS", "before", "after"), rows)
+    for sentence in _of_base(base):
+        print_sentence(sentence)
     print_warnings(found.warnings)
     if found.follow_up is not None:
         sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
         names = " from ".join(EFFECTS[name].title for name in found.follow_up.separates)
         how = "its plan is in --json" if of_files else f"POST /api/runs/{found.runs[-1]}/follow-up"
         print_line(f"a follow-up run would separate {names} by {sigmas}: {how}")
+
+
+def _of_base(base: BaseErrors) -> Iterator[str]:
+    """Bias and scale, in which degrees RMS and sizes are, and why there is no error before."""
+    bias = angle_text(base.bias_deg)
+    scale = "not known" if base.scale is None else f"{base.scale:z.5f}".replace("-", "−")
+    yield f"before: bias {bias}, scale {scale}; RMS in degrees of elevation, sizes in degrees of the reading"
+    if base.fit_rms_deg is None:
+        yield "no error before is stated: with bias and scale alone the readings do not follow the stage"
 
 
 def print_fleet(found: dict[str, Any]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,8 +15,9 @@ from calrig.cli.running_service import open_store, running_service
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.client import Client, PlanDesign
+    from calrig.client import PlanDesign
     from calrig.model.plan import Plan
+    from calrig.runs.plan_designs import DesignRequest
 
 DOING = "designing the plan"
 
@@ -57,86 +57,66 @@ def plan(
     server: Server = None,
 ) -> None:
     """Design the shortest plan for an uncertainty, or the best one for a time; nothing moves."""
+    from calrig.analysis.errors import Invalid
     from calrig.cli import output
-    from calrig.model.plan import Plan
+    from calrig.cli.progress import late_bar
+    from calrig.cli.run import require_rig
+    from calrig.client import Invalid as InvalidThere
+    from calrig.model.plan import Plan, Until
 
     if (target_u is None) == (time is None):
         raise InputError("plan: give --target-u DEG, or --time S")
     if until and target_u is None:
         raise InputError("plan: --until goes with --target-u, which the run is to end at")
     kept = read_plan_file(keep) if keep else Plan()
-    asked = _Asked(target_u, time, rig, unit, trace, sweep, until, kept)
     there = None if config else running_service(server, db)
-    found = _designed_here(asked, db, config) if there is None else _designed_there(there, asked)
-    if as_json:
-        output.print_json(found.model_dump(mode="json"))
-    else:
-        _print(found)
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    target_u_deg: float | None
-    time_s: float | None
-    rig: str | None
-    unit: str
-    trace: bool
-    sweep: bool
-    until: bool
-    kept: Plan
-
-
-def _designed_there(there: Client, asked: _Asked) -> PlanDesign:
-    from calrig.cli.progress import late_bar
-    from calrig.cli.run import require_rig
-    from calrig.client import Invalid
-
-    require_rig(there, asked.rig)
     try:
-        with late_bar(DOING) as show:
-            return there.plan(
-                target_u_deg=asked.target_u_deg,
-                time_s=asked.time_s,
-                rig=asked.rig,
-                unit=asked.unit,
-                until={"expanded_uncertainty_deg": asked.target_u_deg or 0.0} if asked.until else None,
-                trace=asked.trace,
-                sweep=asked.sweep,
-                keep=asked.kept,
-                told=show,
-            )
-    except Invalid as error:
+        if there is None:
+            from calrig.calibration.plan_design import Goals
+            from calrig.runs.plan_designs import DesignRequest
+
+            ends_at = Until(expanded_uncertainty_deg=target_u) if until else None
+            wanted = DesignRequest(Goals(expanded_deg=target_u), time, trace, ends_at, sweep)
+            found = _designed_here(wanted, kept, rig, unit, db, config)
+        else:
+            require_rig(there, rig)
+            with late_bar(DOING) as show:
+                found = there.plan(
+                    target_u_deg=target_u,
+                    time_s=time,
+                    rig=rig,
+                    unit=unit,
+                    until={"expanded_uncertainty_deg": target_u or 0.0} if until else None,
+                    trace=trace,
+                    sweep=sweep,
+                    keep=kept,
+                    told=show,
+                )
+    except (Invalid, InvalidThere) as error:
         raise WorkError(str(error)) from error
+    output.show(found, _print, as_json=as_json)
 
 
-def _designed_here(asked: _Asked, db: str | None, config: str | None) -> PlanDesign:
-    from calrig.analysis.errors import Invalid
+def _designed_here(
+    wanted: DesignRequest, kept: Plan, rig: str | None, unit: str, db: str | None, config: str | None
+) -> PlanDesign:
     from calrig.analysis.stage_maps import configured_maps
-    from calrig.calibration.plan_design import Goals
     from calrig.cli.progress import late_bar
     from calrig.cli.run import rig_named
     from calrig.client import PlanDesign
-    from calrig.model.plan import Until
-    from calrig.runs.plan_designs import DesignRequest, answer, question
+    from calrig.runs.plan_designs import answer, question
     from calrig.settings import load_settings
     from calrig.store.errors import NoStore
 
     settings = load_settings(config)
-    chosen = rig_named(settings, asked.rig)
-    ends_at = Until(expanded_uncertainty_deg=asked.target_u_deg) if asked.until else None
-    wanted = DesignRequest(
-        Goals(expanded_deg=asked.target_u_deg), asked.time_s, asked.trace, ends_at, asked.sweep
-    )
+    chosen = rig_named(settings, rig)
     with ExitStack() as stack:
         store = None
         with suppress(NoStore):  # nothing has run yet: noise and pace are assumed, and said to be
             store = stack.enter_context(open_store(db))
-        try:
-            known = question(wanted, asked.kept, chosen, asked.unit, store, configured_maps(settings))
-            with late_bar(DOING) as show:
-                return PlanDesign.model_validate(answer(known, show).document())
-        except Invalid as error:
-            raise WorkError(str(error)) from error
+        known = question(wanted, kept, chosen, unit, store, configured_maps(settings))
+        with late_bar(DOING) as show:
+            return PlanDesign.model_validate(answer(known, show).document())
 
 
 def _poses(plan: dict[str, Any]) -> str:

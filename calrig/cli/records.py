@@ -15,9 +15,8 @@ from calrig.cli.running_service import open_store, running_service
 from calrig.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from calrig.calibration.regression import AssumedReference
-    from calrig.client import Client, Run
-    from calrig.model.result import StatedKind
+    from calrig.client import RunRecord
+    from calrig.store import Run as StoredRun
     from calrig.store.sqlite.backup import BackedUp
 
 
@@ -70,74 +69,45 @@ def import_(
             raise InputError(
                 f"--reference-std is {reference_std:g}, not above 0 and at most {MOST_REFERENCE_STD_DEG:g}"
             )
-    there = running_service(server, db)
-    if there is not None:
-        from calrig.cli.output import print_says
-
-        of_reference = (reference_std, reference_kind, reference_certificate, reference)
-        record = _imported_there(there, file, unit, rig, *of_reference).record
-        typer.echo(record.id)
-        print_says(record.verdict.says if record.verdict else ())
-        return
-
-    from calrig.analysis.amendments import Records
-    from calrig.analysis.imports import ImportOrigin
-    from calrig.analysis.limits import keep_configured
-    from calrig.analysis.mending import mend
-    from calrig.analysis.revisions import Issuer, Releases
     from calrig.cli.output import print_says
-    from calrig.cli.progress import late_bar
-    from calrig.settings import load_settings
 
-    content = read_bytes(file)
-    name = in_utf8(file.name)
-    with open_store(db, writer="import") as store:
-        settings = load_settings()
-        keep_configured(settings, store)
-        issuer = Issuer(store, Releases.of(settings.rig))
-        issuer.bring_over()
-        mend(store, issuer)
-        with late_bar("importing") as told:
-            made = Records(store, issuer).import_poses(
-                unit=unit,
+    there = running_service(server, db)
+    made: RunRecord | StoredRun
+    if there is not None:
+        from calrig.cli.progress import late_bars
+
+        with late_bars() as step:
+            made = there.import_poses(
+                file,
+                unit,
                 rig=rig,
-                file_name=name,
-                content=content,
-                origin=ImportOrigin.of(
-                    rig, settings.rig, reference_std, reference_kind, reference_certificate, reference
-                ),
-                progress=told,
-            )
+                reference_std_deg=reference_std,
+                reference_kind=reference_kind,
+                reference_certificate=reference_certificate,
+                reference=reference,
+                sent=step(f"sending {file.name}"),
+                told=step("importing"),
+            ).record
+    else:
+        from calrig.analysis.amendments import Records
+        from calrig.analysis.imports import ImportOrigin
+        from calrig.analysis.mending import issuer_of
+        from calrig.analysis.revisions import Releases
+        from calrig.cli.progress import late_bar
+        from calrig.settings import load_settings
+
+        content, name = read_bytes(file), in_utf8(file.name)
+        with open_store(db, writer="import") as store:
+            settings = load_settings()
+            issuer = issuer_of(store, settings, Releases.of(settings.rig))
+            of_reference = reference_std, reference_kind, reference_certificate, reference
+            origin = ImportOrigin.of(rig, settings.rig, *of_reference)
+            with late_bar("importing") as told:
+                made = Records(store, issuer).import_poses(
+                    unit=unit, rig=rig, file_name=name, content=content, origin=origin, progress=told
+                )
     typer.echo(made.id)
-    if made.verdict is not None:
-        print_says(made.verdict.says)
-
-
-def _imported_there(
-    client: Client,
-    file: Path,
-    unit: str,
-    rig: str | None,
-    reference_std_deg: float | None,
-    reference_kind: StatedKind | None,
-    reference_certificate: str | None,
-    reference: AssumedReference | None,
-) -> Run:
-    from calrig.cli.progress import late_bars
-
-    with late_bars() as step:
-        sent, told = step(f"sending {file.name}"), step("importing")
-        return client.import_poses(
-            file,
-            unit,
-            rig=rig,
-            reference_std_deg=reference_std_deg,
-            reference_kind=reference_kind,
-            reference_certificate=reference_certificate,
-            reference=reference,
-            sent=sent,
-            told=told,
-        )
+    print_says(made.verdict.says if made.verdict else ())
 
 
 def backup(

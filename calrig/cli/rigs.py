@@ -37,8 +37,7 @@ def rigs(
 
     there = None if config else running_service(server, db)
     if there is not None:
-        states = there.rigs()
-        shown: list[object] = [rig.model_dump(mode="json") for rig in states]
+        shown: Sequence[object] = (states := there.rigs())
         found, stanza = _scanned_there(there) if scan else ([], "")
     else:
         from calrig.settings import load_settings

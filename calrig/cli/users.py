@@ -108,7 +108,7 @@ def disable(name: Name, db: Db = None, server: Server = None) -> None:
 @app.command("list")
 def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
     """List everybody who is known, or was."""
-    from calrig.cli.output import print_json, print_users
+    from calrig.cli.output import print_users, show
     from calrig.model.service import KnownUser
 
     if server:
@@ -118,10 +118,7 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
     else:
         with open_store(db) as store:
             users = [KnownUser.model_validate(user) for user in store.users.all()]
-    if as_json:
-        print_json([user.model_dump(mode="json") for user in users])
-    else:
-        print_users(users)
+    show(users, print_users, as_json=as_json)
 
 
 def _store(db: str | None) -> Store:

@@ -13,13 +13,7 @@ from typing import Any
 import numpy as np
 
 from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
-from calrig.export.triads import (
-    Accelerometer,
-    NotHeldError,
-    accelerometer_of,
-    gyro_of,
-    vector,
-)
+from calrig.export.triads import Accelerometer, NotHeldError, accelerometer_of, gyro_of, vector
 
 RAW_G = np.array([0.3, -0.5, 0.8])
 RAW_DPS = np.array([10.0, -20.0, 30.0])

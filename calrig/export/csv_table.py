@@ -37,6 +37,8 @@ from calrig.export.csv_units import unit_of_text
 SEPARATORS = (",", ";", "\t")
 EXAMINED_BYTES = 1_000_000
 """Rows from which the decimal sign is detected: a different one further on is reported as a bad cell."""
+_STATED_SEPARATOR = re.compile(rb'"?sep=([^"])"?', re.IGNORECASE)
+"""The line that a spreadsheet writes before the header."""
 _QUOTED = re.compile(r'"[^"]*"')
 _COMMENTS = re.compile(rb"^ *#[^\r\n]*", re.MULTILINE)
 
@@ -52,7 +54,9 @@ class Dialect:
 COMMAS = Dialect()
 
 
-def _dialect_of(header: str, rows: bytes, is_known: Callable[[str], bool]) -> Dialect:
+def _dialect_of(
+    header: str, rows: bytes, is_known: Callable[[str], bool], separators: Sequence[str] = SEPARATORS
+) -> Dialect:
     """Return the dialect that the header row and the rows under it are in.
 
     The separator is the one that makes the most known names of the header, a comma where several do. Where
@@ -63,8 +67,9 @@ def _dialect_of(header: str, rows: bytes, is_known: Callable[[str], bool]) -> Di
         header: the line of names.
         rows: what follows it.
         is_known: whether a column has a meaning here.
+        separators: to choose from.
     """
-    separator = max(SEPARATORS, key=lambda sign: _known(header, sign, is_known))
+    separator = max(separators, key=lambda sign: _known(header, sign, is_known))
     if separator == ",":
         return COMMAS
     examined = _COMMENTS.sub(b"", rows[:EXAMINED_BYTES])
@@ -326,7 +331,7 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     """Return how a file is written.
 
     The header is the first line that is neither blank nor a comment; or the comment before it, if only that
-    has known names. A row of units may follow it.
+    has known names. A line such as `sep=;` may come before it, and a row of units after it.
 
     Args:
         data: from the file's beginning, a megabyte of rows or all of them.
@@ -338,6 +343,11 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     """
     report = CsvReport()
     row = _next_row(data, len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0, 1)
+    separators: Sequence[str] = SEPARATORS
+    if stated := _STATED_SEPARATOR.fullmatch(row.text):
+        separators = (_separator_of(stated[1], row.line),)
+        report.say(f"line {row.line} is read as the separator of the cells")
+        row = _next_row(data, row.end, row.line + 1)
     header = row
     if row.comments and not _has_known(row.text, known):
         bare = row.comments[-1]._replace(text=row.comments[-1].text.lstrip(b" #"))
@@ -348,7 +358,9 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
         raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
     rows = data[header.end : header.end + EXAMINED_BYTES]
     _refuse_long_names(header)
-    dialect = _dialect_of(header.text.decode(errors="replace"), rows, lambda name: names_a_known(name, known))
+    dialect = _dialect_of(
+        header.text.decode(errors="replace"), rows, lambda name: names_a_known(name, known), separators
+    )
     texts = [from_spreadsheet(name.strip()) for name in _cells(header, dialect)]
     if len(texts) > MAX_COLUMNS:
         what = f"the header has {len(texts)} columns; at most {MAX_COLUMNS} are read"
@@ -371,6 +383,14 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     for note in header_notes(columns, known):
         report.say(note)
     return Layout(columns, header.line, begin, first_line, dialect, units, report)
+
+
+def _separator_of(sign: bytes, line: int) -> str:
+    separator = sign.decode(errors="replace")
+    if separator not in SEPARATORS:
+        what = f"says that {separator!r} separates the cells: save the file with commas, semicolons or tabs"
+        raise CsvError(what, line=line)
+    return separator
 
 
 def _refuse_long_names(header: _Row) -> None:

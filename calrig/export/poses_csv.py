@@ -187,7 +187,7 @@ def write_pose_batches(
 
     def cells(pose: Pose) -> Iterator[str]:
         row, said = pose.row(), {} if labels is None else labels(pose)
-        yield from (_text(row.get(name)) for name in kept)
+        yield from ("" if (value := row.get(name)) is None else repr(value) for name in kept)
         yield from (said[name] for name in texts)
 
     for batch in batches():
@@ -198,10 +198,6 @@ def _rows(cells: Iterable[Iterable[str]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(cells)
     return text.getvalue()
-
-
-def _text(value: float | int | None) -> str:
-    return "" if value is None else repr(value)
 
 
 class _Column:

@@ -81,7 +81,8 @@ def read_file(file: Path) -> Iterator[PackedPoses]:
             for group in range(opened.num_row_groups):
                 table = opened.read_row_group(group, columns=names, use_threads=False)
                 table = table if held is None else pa.concat_tables([held, table])
-                whole = _last_begins(table) if group + 1 < opened.num_row_groups else len(table)
+                # the last run of a group may go on in the next
+                whole = int(_beginnings(table)[-1]) if group + 1 < opened.num_row_groups else len(table)
                 held = table.slice(whole)
                 if whole:
                     yield _packed(table.slice(0, whole), names)
@@ -130,11 +131,6 @@ def _wanted(pa: Any, schema: Any, file: Path) -> list[str]:
         *(name for name in OF_RUN if name in schema.names),
         *(name for name in numbers if name not in OF_RUN),
     ]
-
-
-def _last_begins(table: Any) -> int:
-    """The row where the last run of a table begins: it may go on."""
-    return int(_beginnings(table)[-1])
 
 
 def _beginnings(table: Any) -> np.ndarray[Any, np.dtype[np.intp]]:

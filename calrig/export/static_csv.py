@@ -260,7 +260,9 @@ def read_static(
             f"gyro_x_rps, accel_x_lsb){_nearly(warnings)}; {there_are(table.layout.texts)}",
             line=table.layout.header_line,
         )
-    ordered = {name: channels[name] for name in sorted(channels, key=_order)}
+    sensors = ("accel", "gyro", "temperature")
+    names = sorted(channels, key=lambda name: (sensors.index(name.partition("_")[0]), name))
+    ordered = {name: channels[name] for name in names}
     flaw = "" if time_s is None else _flaw_of(time_s, table)
     return StaticLog(ordered, time_s, flaw, tuple(warnings), table.line_of)
 
@@ -357,7 +359,3 @@ def _refuse_two_units(columns: Sequence[Column], line: int) -> None:
         if (first := seen.setdefault((sensor[1], sensor[2]), column.text)) != column.text:
             what = f"says the same as {first} in another unit: keep one of them"
             raise CsvError(what, line=line, column=column.text)
-
-
-def _order(name: str) -> tuple[int, str]:
-    return ("accel", "gyro", "temperature").index(name.partition("_")[0]), name

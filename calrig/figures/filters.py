@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from calrig.estimation.angles import FloatArray
 from calrig.estimation.filter_comparison import FilterComparison
 from calrig.estimation.transient_response import MoveReference
 from calrig.figures.parts import GREY, Figure, colour_of, layout_of, line_of
@@ -86,7 +85,8 @@ def _traces(
             jitter = rows[name].jitter
             label += "" if jitter is None else f" ({jitter.std_deg:.3f}°)"
         colour = GREY if name == RAW else colour_of(k - 1)
-        trace = line_of(label, time_s, _known(angle), colour, "%{x:.3f} s: %{y:.3f}°")
+        known = [value if np.isfinite(value) else None for value in angle.tolist()]
+        trace = line_of(label, time_s, known, colour, "%{x:.3f} s: %{y:.3f}°")
         trace["line"]["width"] = 1 if name == RAW else 2
         trace["opacity"] = 0.6 if name == RAW else 1.0
         traces.append(trace)
@@ -99,7 +99,3 @@ def _true(move: MoveReference, begin_s: float, end_s: float) -> dict[str, Any]:
     trace = line_of("reference", time_s.tolist(), angle.tolist(), GREY, "%{x:.3f} s: %{y:.3f}°")
     trace["line"].update(dash="dash", width=2)
     return trace
-
-
-def _known(values: FloatArray) -> list[float | None]:
-    return [value if np.isfinite(value) else None for value in values.tolist()]

@@ -64,7 +64,8 @@ class Processes:
         self, slots: int | None = None, *, most_bytes: int | None = None, longest_s: float = LONGEST_S
     ) -> None:
         self.slots = slots or max(1, (os.cpu_count() or 1) - 1)
-        self._most_bytes = most_bytes or min(MOST_BYTES, _machine_bytes() // (2 * self.slots))
+        machine_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        self._most_bytes = most_bytes or min(MOST_BYTES, machine_bytes // (2 * self.slots))
         self._longest_s = longest_s
         self._turns = Turns(self.slots)
         self._idle: list[Process] = []
@@ -224,7 +225,3 @@ async def _end(process: Process) -> None:
     with suppress(ProcessLookupError):
         process.kill()
     await process.wait()
-
-
-def _machine_bytes() -> int:
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

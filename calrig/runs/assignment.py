@@ -9,11 +9,7 @@ from typing import Any, Self
 
 from pydantic import TypeAdapter
 
-from calrig.analysis.calibration_in_force import (
-    ActiveCalibration,
-    active_calibration,
-    require_not_withdrawn,
-)
+from calrig.analysis.calibration_in_force import ActiveCalibration, active_calibration, require_not_withdrawn
 from calrig.analysis.errors import Conflict
 from calrig.analysis.imports import provenance
 from calrig.analysis.stage_maps import provenance_part

@@ -10,8 +10,8 @@ from typing import Literal, cast
 
 from sqlmodel import Session, col, select
 
-from calrig.store.database import Repository
-from calrig.store.errors import ChangedMeanwhile, NotFound, Refused
+from calrig.store.database import Repository, row_of
+from calrig.store.errors import ChangedMeanwhile, Refused
 from calrig.store.records import Document
 from calrig.store.tables import BatchTable, BatchUnitTable
 
@@ -130,9 +130,7 @@ def _open(session: Session, batch_id: str) -> Batch:
 
 
 def _batch(session: Session, batch_id: str) -> Batch:
-    row = session.get(BatchTable, batch_id)
-    if row is None:
-        raise NotFound(f"unknown batch {batch_id!r}")
+    row = row_of(session, BatchTable, batch_id, f"unknown batch {batch_id!r}")
     in_order = select(BatchUnitTable).where(BatchUnitTable.batch == batch_id)
     turns = [
         Turn(one.position, one.unit, cast(TurnState, one.state), one.rig, one.run_uid, one.why)

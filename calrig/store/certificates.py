@@ -9,12 +9,12 @@ from typing import Literal
 from pydantic import Field
 from sqlalchemy import ColumnElement
 from sqlalchemy.orm import defer
-from sqlmodel import col, select
+from sqlmodel import Session, col, select
 
 from calrig.laboratory import LaboratorySettings
 from calrig.model.base import Model
 from calrig.model.calibration import RevisionStatus
-from calrig.store.database import Repository
+from calrig.store.database import Repository, row_of
 from calrig.store.errors import NotFound, Refused, Unreadable
 from calrig.store.records import Document
 from calrig.store.tables import CertificateTable, IssuedCalibrationTable
@@ -68,9 +68,7 @@ class Certificates(Repository):
                     "issued; look at the revision and issue its certificate again"
                 )
             if issued.replaces is not None:
-                before = session.get(CertificateTable, issued.replaces)
-                if before is None:
-                    raise NotFound(f"there is no certificate {issued.replaces!r}")
+                before = _row(session, issued.replaces)
                 if before.unit != issued.unit:
                     raise Refused(f"certificate {before.number} is of unit {before.unit!r}")
                 wanted = select(CertificateTable.number).where(CertificateTable.replaces == before.number)
@@ -117,9 +115,7 @@ class Certificates(Repository):
             Unreadable: the bytes are not those that were stored.
         """
         with self._database.reading() as session:
-            row = session.get(CertificateTable, number)
-            if row is None:
-                raise NotFound(f"there is no certificate {number!r}")
+            row = _row(session, number)
             check_bytes(row.number, form, getattr(row, form), row.sha256)
             return row.pdf if form == "pdf" else row.dcc
 
@@ -144,6 +140,10 @@ class Certificates(Repository):
 
 
 _COLUMNS = tuple(name for name in CertificateTable.model_fields if name not in ("pdf", "dcc"))
+
+
+def _row(session: Session, number: str) -> CertificateTable:
+    return row_of(session, CertificateTable, number, f"there is no certificate {number!r}")
 
 
 def check_bytes(number: str, form: Form, content: bytes | None, sha256: Document) -> None:

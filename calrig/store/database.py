@@ -11,15 +11,17 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from typing import TypeVar
 
 from sqlalchemy import Connection
 from sqlalchemy.exc import StatementError
 from sqlmodel import Session
 
 from calrig.settings import packed
-from calrig.store.errors import NotText, StoreDamagedError, StoreError, Unreadable
+from calrig.store.errors import NotFound, NotText, StoreDamagedError, StoreError, Unreadable
 from calrig.store.records import Size
 
+T = TypeVar("T")
 BUSY_TIMEOUT_S = 10.0
 LOOK_S = 0.1
 """How soon a write that waits for its turn notices that it is not wanted any more."""
@@ -146,6 +148,14 @@ class Database(ABC):
     def _no_text(self, error: UnicodeEncodeError) -> NotText:
         """The error for a name of another encoding, as a terminal or a folder may have it."""
         return NotText(f"{self.name}: keeps UTF-8 text, and {error.object[:60]!a} is none: write it in UTF-8")
+
+
+def row_of(session: Session, table: type[T], key: object, missing: str) -> T:
+    """The row of a key; NotFound, which says what is missing, without one."""
+    row = session.get(table, key)
+    if row is None:
+        raise NotFound(missing)
+    return row
 
 
 class Repository:

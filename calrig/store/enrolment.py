@@ -13,8 +13,8 @@ from calrig.model.clock_skew import said_skew_s, skew_in_words
 from calrig.model.service import Membership
 from calrig.store.bench_tables import BENCH_NAME, PROTOCOL, BenchTable
 from calrig.store.benches import refusal, versions_here
-from calrig.store.database import Repository
-from calrig.store.errors import NotFound, Refused
+from calrig.store.database import Repository, row_of
+from calrig.store.errors import Refused
 from calrig.store.trail import Act, append
 from calrig.store.users import token_digest
 
@@ -204,7 +204,4 @@ def _require_centre(session: Session) -> None:
 
 
 def _known(session: Session, name: str) -> BenchTable:
-    row = session.get(BenchTable, name)
-    if row is None:
-        raise NotFound(f"there is no bench {name!r}")
-    return row
+    return row_of(session, BenchTable, name, f"there is no bench {name!r}")

@@ -15,8 +15,8 @@ from calrig.canonical_json import canonical, sha256_of
 from calrig.model.calibration import RevisionStatus
 from calrig.store import trail
 from calrig.store.convert import iso_utc, run_row
-from calrig.store.database import Repository
-from calrig.store.errors import NotFound, Refused, Unreadable
+from calrig.store.database import Repository, row_of
+from calrig.store.errors import Refused, Unreadable
 from calrig.store.records import Document
 from calrig.store.tables import IssuedCalibrationTable, RunTable, TrailTable, UtcText
 
@@ -186,7 +186,8 @@ class Revisions(Repository):
             row = _row(session, unit, number)
             if row.status not in ("draft", "superseded"):
                 other = ": make a new draft instead" if row.status == "withdrawn" else ""
-                raise Refused(f"revision {number} of unit {unit!r} is {_words(row.status)}{other}")
+                is_so = "in force already" if row.status == "in_force" else row.status
+                raise Refused(f"revision {number} of unit {unit!r} is {is_so}{other}")
             _release(session, row, by, reason, datetime.now(UTC))
             return _revision(row)
 
@@ -256,10 +257,8 @@ def _note(
 
 
 def _row(session: Session, unit: str, number: int) -> IssuedCalibrationTable:
-    row = session.get(IssuedCalibrationTable, (unit, number))
-    if row is None:
-        raise NotFound(f"unit {unit!r} has no revision {number}")
-    return row
+    missing = f"unit {unit!r} has no revision {number}"
+    return row_of(session, IssuedCalibrationTable, (unit, number), missing)
 
 
 def _revision(row: IssuedCalibrationTable) -> Revision:
@@ -284,7 +283,3 @@ def _revision(row: IssuedCalibrationTable) -> Revision:
         issued_by=row.issued_by,
         reason=row.reason,
     )
-
-
-def _words(status: str) -> str:
-    return {"in_force": "in force already", "withdrawn": "withdrawn"}.get(status, status)

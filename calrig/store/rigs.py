@@ -13,7 +13,7 @@ from sqlmodel import Session, and_, col, func, or_, select
 
 from calrig.model.base import Model
 from calrig.model.run import UNFINISHED
-from calrig.store.database import Repository
+from calrig.store.database import Repository, row_of
 from calrig.store.errors import NotFound
 from calrig.store.records import Document, StoredStagePosition
 from calrig.store.runs import VALID_CALIBRATION
@@ -59,8 +59,7 @@ class CheckStandards(Repository):
             NotFound: there is no such unit.
         """
         with self._database.writing() as session:
-            if session.get(UnitTable, unit) is None:
-                raise NotFound(f"there is no unit {unit!r}: a unit appears with its first run")
+            row_of(session, UnitTable, unit, f"there is no unit {unit!r}: a unit appears with its first run")
             row = session.get(CheckUnitTable, rig)
             if row is None or row.unit != unit:
                 named = CheckUnit(rig=rig, unit=unit, interval_days=interval_days, named_at=datetime.now(UTC))
@@ -77,9 +76,7 @@ class CheckStandards(Repository):
             NotFound: it has none.
         """
         with self._database.writing() as session:
-            row = session.get(CheckUnitTable, rig)
-            if row is None:
-                raise NotFound(f"rig {rig!r} has no check unit")
+            row = row_of(session, CheckUnitTable, rig, f"rig {rig!r} has no check unit")
             session.delete(row)
             _tell(session, rig, row.unit, who, {"unit": None, "interval_days": None})
 

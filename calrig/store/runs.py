@@ -104,9 +104,10 @@ class Sought:
 
     def conditions(self) -> list[ColumnElement[bool]]:
         """What holds of the rows."""
+        told = self.kind if self.kind in _TOLD else None  # the plan's kind tells nothing of the others
         found = [
             col(column) == value
-            for column, value in ((RunTable.unit, self.unit), (RunTable.kind, _stored_kind(self.kind)))
+            for column, value in ((RunTable.unit, self.unit), (RunTable.kind, told))
             if value is not None
         ]
         for column, value in ((RunTable.rig, self.rig), (RunTable.status, self.status)):
@@ -138,11 +139,6 @@ class Sought:
             return [number.in_(_FOLLOW_UPS)]
         others: list[ColumnElement[bool]] = [number.not_in(_IMPORTED), number.not_in(_FOLLOW_UPS)]
         return [*others, col(RunTable.kind).not_in(_TOLD)] if self.kind == "calibration" else others
-
-
-def _stored_kind(kind: RunKind | None) -> str | None:
-    """The plan's kind, where it tells; the rest of the calibrations are not told apart by it."""
-    return kind if kind in _TOLD else None
 
 
 def beginning(prefix: str) -> ColumnElement[bool]:

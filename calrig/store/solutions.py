@@ -12,8 +12,7 @@ import sqlalchemy
 from pydantic import TypeAdapter
 
 from calrig.model.solution import ListedSolution
-from calrig.store.database import Repository
-from calrig.store.errors import NotFound
+from calrig.store.database import Repository, row_of
 from calrig.store.solved import Basis, Solved
 from calrig.store.tables import SolutionTable
 
@@ -72,9 +71,7 @@ class Solutions(Repository):
             NotFound: there is none.
         """
         with self._database.reading() as session:
-            row = session.get(SolutionTable, solution_id)
-            if row is None:
-                raise NotFound(f"there is no solution {solution_id!r}")
+            row = row_of(session, SolutionTable, solution_id, f"there is no solution {solution_id!r}")
             basis = _BASIS.validate_python(row.basis)
             found = Solved(row.rig, basis, row.document, row.calibrations, row.stage_map, row.poses)
             return StoredSolution(row.id, row.created_at, row.solved_by, found)

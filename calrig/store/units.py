@@ -12,8 +12,8 @@ from sqlmodel import Session, col, delete, func, select
 from calrig.model.base import Model
 from calrig.store.checksums import check_numbers
 from calrig.store.convert import FIGURES, result_part
-from calrig.store.database import Repository
-from calrig.store.errors import NotFound, Refused
+from calrig.store.database import Repository, row_of
+from calrig.store.errors import Refused
 from calrig.store.records import ComparisonRow, Unit
 from calrig.store.runs import VALID_CALIBRATION
 from calrig.store.tables import (
@@ -106,9 +106,7 @@ class Units(Repository):
             Refused: it has runs or a calibration in force, or a rig is checked by it.
         """
         with self._database.writing() as session:
-            row = session.get(UnitTable, serial)
-            if row is None:
-                raise NotFound(f"there is no unit {serial!r}")
+            row = row_of(session, UnitTable, serial, f"there is no unit {serial!r}")
             for table, kept in _KEPT_OF_UNITS.items():
                 if session.exec(select(table).where(table.unit == serial).limit(1)).first() is not None:
                     raise Refused(f"unit {serial!r} has {kept} and is not removed")
@@ -199,8 +197,7 @@ class Items(Repository):
             NotFound: there is no such unit.
         """
         with self._database.writing() as session:
-            if session.get(UnitTable, unit) is None:
-                raise NotFound(f"there is no unit {unit!r}: a unit appears with its first run")
+            row_of(session, UnitTable, unit, f"there is no unit {unit!r}: a unit appears with its first run")
             said = item.model_dump(mode="json")
             session.add(ItemTable(unit=unit, document=said, at=datetime.now(UTC)))
             append(session, Act("item_changed", who=who, unit=unit, detail=said))

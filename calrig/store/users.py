@@ -12,8 +12,8 @@ from typing import get_args
 from sqlmodel import Session, col, select
 
 from calrig.model.service import Role
-from calrig.store.database import Repository
-from calrig.store.errors import NotFound, Refused, Unreadable
+from calrig.store.database import Repository, row_of
+from calrig.store.errors import Refused, Unreadable
 from calrig.store.tables import UserTable
 from calrig.store.trail import Act, append
 
@@ -125,9 +125,7 @@ def _new_token() -> str:
 
 
 def _enabled(session: Session, name: str) -> UserTable:
-    row = session.get(UserTable, name)
-    if row is None:
-        raise NotFound(f"there is no user {name!r}")
+    row = row_of(session, UserTable, name, f"there is no user {name!r}")
     if row.disabled_at is not None:
         raise Refused(f"{name} was disabled: add them again")
     return row

@@ -91,6 +91,21 @@ def test_errors_of_held_out_poses_are_of_elevation_not_of_reading() -> None:
     assert errors == pytest.approx([0.0, 0.125], abs=1e-6)
 
 
+def test_the_error_before_is_that_of_a_calibrations_own_line_however_the_noise_wanders() -> None:
+    rng = np.random.default_rng(4)
+    theta_deg = np.repeat(rng.uniform(-60.0, 60.0, 30), 8)
+    wander_deg = np.cumsum(rng.normal(0.0, 0.5, 240)) - 0.5 * (theta_deg - np.roll(theta_deg, 1))
+    r = responses_of(
+        [posed(target_deg=theta_deg, reading_deg=theta_deg + wander_deg, time_s=np.arange(240.0))]
+    )
+    fold, errors = folds_of(r), np.empty(240)
+    for k in range(FOLDS):
+        line = np.polyfit(theta_deg[fold != k], (theta_deg + wander_deg)[fold != k], 1)
+        errors[fold == k] = ((theta_deg + wander_deg - np.polyval(line, theta_deg)) / line[0])[fold == k]
+    before = cross_validate(r, [], np.random.default_rng(1)).base_deg
+    assert rms(before) == pytest.approx(rms(errors), rel=0.02)
+
+
 def test_a_curve_of_a_fold_keeps_its_knots_where_an_outlier_has_left():
     """The outlier lay beyond all others: a curve that is built anew without it has knots elsewhere."""
     rng = np.random.default_rng(5)

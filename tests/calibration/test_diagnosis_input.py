@@ -60,6 +60,30 @@ def test_fewer_poses_than_parameters_are_refused(count: int) -> None:
         diagnose([run_of(sweeps()[:count])])
 
 
+def of_a_drive(rows: int, lag_rows: float, steps: int = 12) -> list[Pose]:
+    """A log of a drive at commanded elevations, many rows at each: readings approach them exponentially."""
+    commanded_deg = np.repeat(np.tile([20.0, 90.0, 160.0], steps // 3), rows)
+    reading_deg = np.empty(len(commanded_deg))
+    behind = np.exp(-1.0 / lag_rows)
+    at_deg = commanded_deg[0]
+    for k, target_deg in enumerate(commanded_deg):
+        at_deg = reading_deg[k] = target_deg + (at_deg - target_deg) * behind
+    noise_deg = np.random.default_rng(3).normal(0.0, NOISE_DEG, len(reading_deg))
+    time_s = 0.05 * np.arange(len(reading_deg))
+    return posed(target_deg=commanded_deg, reading_deg=reading_deg + noise_deg, time_s=time_s)
+
+
+def test_rows_of_a_drive_that_was_still_on_its_way_are_refused() -> None:
+    with pytest.raises(
+        DiagnosisError, match="after a step of target_deg the readings take 11 rows to follow"
+    ):
+        told(of_a_drive(rows=40, lag_rows=5.0))
+
+
+def test_rows_of_a_dwell_that_had_nearly_settled_are_diagnosed() -> None:
+    assert told(of_a_drive(rows=10, lag_rows=0.4))["n_poses"] == 120
+
+
 @pytest.mark.parametrize("count", [8, 9, 12])
 def test_few_poses_are_diagnosed_without_inventing_anything(count: int) -> None:
     """In one draw: one in a hundred has something to say by itself."""
@@ -241,6 +265,33 @@ def test_a_sensor_whose_range_ends_before_the_stages_is_refused_with_where(step_
         diagnose([clipped])
 
 
+@pytest.mark.parametrize("one_more", [0.0, 0.0625])
+def test_a_sensor_that_stops_at_both_ends_to_within_a_count_is_refused_with_both(one_more: float) -> None:
+    theta = np.linspace(-60.0, 60.0, 61)
+    counts = np.round(np.clip(0.4 * theta, -10.0, 14.0) / 0.0625) * 0.0625
+    counts[[0, -1]] += one_more, -one_more  # the first reading and the last are a count away from the stop
+    with pytest.raises(DiagnosisError, match=r"stop at -10 from -60° to -2.° .* and at 14 from 3.° to 60°"):
+        diagnose([run_of(theta, reading_deg=counts)])
+
+
+AN_EVEN_ARC = np.linspace(0.0, 120.0, 25)
+
+
+@pytest.mark.parametrize(
+    ("theta", "count_deg"),
+    [
+        (np.concatenate([[0.0, 0.01, -0.01, 0.02, 0.0], AN_EVEN_ARC]), 0.25),  # waited at home
+        (60.0 * np.linspace(-1.0, 1.0, 61) ** 3, 2.0),  # densest where it is of least use
+        (np.repeat(AN_EVEN_ARC, 5) + np.tile([0.0, 0.01, 0.02, -0.01, -0.02], 25), 5.0),
+        (np.concatenate([AN_EVEN_ARC, AN_EVEN_ARC[::-1]]), 10.0),
+        (np.linspace(-200.0, 200.0, 41), 1.0),  # over a turn, read within one
+    ],
+)
+def test_what_repeats_a_reading_is_no_end_of_a_range(theta: np.ndarray, count_deg: float) -> None:
+    within_a_turn = (theta + 180.0) % 360.0 - 180.0
+    told(run_of(theta, reading_deg=np.round(within_a_turn / count_deg) * count_deg))  # is not refused
+
+
 def test_what_follows_the_stage_only_with_its_effect_has_no_error_before_it() -> None:
     theta = np.linspace(-60.0, 60.0, 49)
     noise = np.random.default_rng(1).normal(0.0, 0.02, len(theta))
@@ -284,7 +335,7 @@ def test_a_reading_off_by_a_whole_turn_is_taken_on_the_stage_s_turn(which: str) 
     said, straight = told(off), told(poses)
     assert said["verdict"] == "nothing"
     assert said["base"] == pytest.approx(straight["base"])
-    assert any("whole turn" in warning for warning in said["warnings"])
+    assert f"{which} readings are a whole turn away from the stage" in " ".join(said["warnings"])
 
 
 @pytest.mark.parametrize("size_deg", [1.0, -30.0, 300.0])

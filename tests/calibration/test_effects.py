@@ -13,6 +13,7 @@ from compiled_header import COMPILER, compiled, document
 from compiled_header import applied as applied_in_c
 from effect_causes import CAUSES, measured
 from fastapi.testclient import TestClient
+from posed import posed
 
 from calrig.api.app import api
 from calrig.calibration.diagnosis.candidates import candidates_of, documented_forms, model_columns, rebuilt
@@ -95,6 +96,16 @@ def test_an_effect_is_found_rebuilt_applied_compiled_and_shown(effect, shown, tm
     assert entry["formula"] == effect.formula
     assert set(stated["parameters"]) <= {parameter["name"] for parameter in entry["parameters"]}
     assert (entry["origin"], entry["covariate"]) == (stated["origin"], stated["covariate"])
+
+
+def test_an_offset_in_mg_of_a_sensor_without_accelerometer_says_what_it_is_a_thousandth_of():
+    turn_deg = np.arange(0.0, 360.0, 10.0)
+    felt = np.radians(turn_deg + np.random.default_rng(2).normal(0.0, 0.1, len(turn_deg)))
+    accel = {"accel_y_g": np.sin(felt), "accel_z_g": np.cos(felt)}
+    for known, said in (({}, "a thousandth of their amplitude"), (accel, "calibration against gravity")):
+        r = responses_of([posed(target_deg=turn_deg, reading_deg=turn_deg, **known)])
+        offset = next(c for c in candidates_of(r) if c.name == "accelerometer_offset")
+        assert said in " ".join(offset.effect.evidence(r, offset.shape))
 
 
 @pytest.mark.parametrize("name", SOLVED_FOR)

@@ -96,3 +96,31 @@ def test_as_many_poses_at_random_separate_less(measured: list[Pose], designed: F
     rng = np.random.default_rng(4)
     at_random = [separation(measured, rng.uniform(*LIMITS_DEG, len(chosen)).tolist()) for _ in range(100)]
     assert separation(measured, chosen) > max(at_random)
+
+
+@pytest.mark.parametrize("form", ["curved", "square", "smooth 5"])
+def test_a_drift_that_was_one_with_the_elevation_is_predicted_where_it_is_not(form: str) -> None:
+    rng = np.random.default_rng(5)
+    theta = np.linspace(-60.0, 60.0, 60)
+    bend = 0.5 * (theta / 60.0) ** 2 + 0.4 * (theta / 60.0) ** 3
+    run = [
+        Pose(float(t), float(t + off + rng.normal(0.0, NOISE_DEG)), time_s=10.0 * k)
+        for k, (t, off) in enumerate(zip(theta, bend, strict=True))
+    ]
+    r = responses_of([run])
+    offered = candidates_of(r)
+    drift = next(c for c in offered if c.name == "time_drift" and c.shape.form == form)
+    bent = next(c for c in offered if c.name == "nonlinearity" and c.shape.form == "both")
+    columns = model_columns(r, [drift])
+    found = SelectedEffect(drift, (bent,), p_value=0.005, lead=1.0)
+    findings = Findings(r, np.arange(len(r)), (found,), fit(r, columns), columns, least_p_value=0.005)
+
+    follow_up = design([run], findings, LIMITS_DEG)
+
+    if form == "smooth 5":  # its knots are of the times that were measured
+        assert isinstance(follow_up, str)
+        assert "these poses do not say what drift in time does in others" in follow_up
+    else:
+        assert isinstance(follow_up, FollowUp)
+        assert set(follow_up.separates) == {"time_drift", "nonlinearity"}
+        assert follow_up.separation > LEAST_SEPARATION

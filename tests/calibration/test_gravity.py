@@ -385,6 +385,11 @@ def test_a_log_that_cannot_serve_is_told_why(accel_g, says):
         calibrate_by_gravity(accel_g)
 
 
+def test_a_table_of_too_few_positions_is_told_how_many_more_it_needs():
+    with pytest.raises(GravityError, match=r"too few rows \(6\): at least 9 positions .* add 3 more"):
+        calibrate_by_gravity(BIAS_G + SCALE * np.vstack([np.eye(3), -np.eye(3)]))
+
+
 def test_too_few_poses_and_poses_about_one_axis_are_told_what_is_missing():
     rng = np.random.default_rng(9)
     with pytest.raises(GravityError, match="6 static poses are too few: at least 9"):

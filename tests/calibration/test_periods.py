@@ -249,3 +249,15 @@ def test_a_wave_so_steep_that_the_axis_would_turn_back_is_not_possible():
     (shape,) = effect.forms(r, {"period_deg": 6.0})
     assert effect.possible(shape, np.array([0.5, 0.5]))
     assert not effect.possible(shape, np.array([1.0, 1.0]))
+
+
+def test_poses_of_many_turns_at_the_same_few_degrees_carry_no_order_of_the_turn():
+    """A laser at five places of as many turns: whatever bends there is a curve, of any order."""
+    rng = np.random.default_rng(6)
+    theta_deg = np.tile(3600.0 * np.arange(5) + np.array([0.0, 7.0, -4.0, -11.0, 9.0]), 10)
+    theta_deg = theta_deg + rng.normal(0.0, 0.2, 50)
+    bent_deg = 0.05 * (np.mod(theta_deg + 180.0, 360.0) - 180.0)
+    run = posed(target_deg=theta_deg, reading_deg=theta_deg - bent_deg + rng.normal(0.0, 0.02, 50))
+    found = diagnose([run], bootstraps=199, cross_fit=False).findings.found
+    assert {f.candidate.covariate for f in found} == {"target_deg"}
+    assert not any(f.candidate.named for f in found)

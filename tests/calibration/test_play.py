@@ -123,3 +123,19 @@ def test_readings_ahead_of_their_moves_have_not_failed_to_settle() -> None:
     (effect,) = document(diagnose([poses], bootstraps=199, cross_fit=False), ["1"])["effects"]
     assert effect["name"] == "backlash"
     assert "settling" not in effect["confusable_with"]
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_an_angle_that_was_misread_from_pose_to_pose_is_no_lack_of_settling(seed: int) -> None:
+    """An error of the reference is in the move to its pose too: readings seem to be behind their moves."""
+    rng = np.random.default_rng(seed)
+    moves_deg = rng.uniform(0.4, 1.2, 150)
+    stood_deg = np.concatenate([np.cumsum(moves_deg), np.cumsum(moves_deg[::-1])[::-1] - 0.3])
+    run = posed(
+        target_deg=np.round(stood_deg + rng.normal(0.0, 0.15, 300), 1),
+        reading_deg=stood_deg + rng.normal(0.0, NOISE_DEG, 300),
+        time_s=4.0 * np.arange(300),
+    )
+    (effect,) = document(diagnose([run], bootstraps=199), ["1"])["effects"]
+    assert (effect["verdict"], effect["covariate"]) == ("unnamed", "target_deg")
+    assert effect["corrects"] is None

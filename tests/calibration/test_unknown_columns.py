@@ -10,8 +10,9 @@ from posed import posed
 
 from calrig.calibration.diagnosis.candidates import candidates_of, rebuilt
 from calrig.calibration.diagnosis.tracing import diagnose, document
-from calrig.calibration.effects.unnamed import arc_deg, delayed, is_circle, unit_of_column
+from calrig.calibration.effects.unnamed import delayed, is_circle, unit_of_column
 from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.regression.terms import covered
 
 N = 90
 TIME_S = 20.0 * np.arange(N)
@@ -66,8 +67,8 @@ def test_an_angle_is_a_circle_and_where_it_is_largest_is_told():
 
 
 def test_an_arc_is_what_the_widest_gap_leaves_of_the_circle():
-    assert arc_deg(np.array([350.0, 5.0, 20.0])) == pytest.approx(30.0)
-    assert arc_deg(np.array([-170.0, 170.0])) == pytest.approx(20.0)
+    assert covered(np.array([350.0, 5.0, 20.0])) == pytest.approx(30.0)
+    assert covered(np.array([-170.0, 170.0])) == pytest.approx(20.0)
 
 
 LOAD_KG = np.repeat(np.random.default_rng(9).uniform(0.0, 2.0, N // 9), 9)

@@ -37,6 +37,17 @@ def test_a_file_is_diagnosed_and_a_run_made_of_it_likewise(warming):
     assert shown.startswith("named: reading = bias + scale·θ + temperature_bias")
     before, after = (f"{of_file[model]['held_out_rms_deg']:.4f}°" for model in ("base", "final"))
     assert re.search(rf"held-out poses +│ +{before} │ +{after}", shown)
+    scale = f"{of_file['base']['scale']:.5f}"
+    assert re.search(rf"before: bias −?[0-9.]+°, scale {scale}; RMS in degrees of elevation", shown)
+
+
+def test_what_follows_the_stage_only_with_its_effect_is_said_why_it_has_no_error_before(folder):
+    noise = np.random.default_rng(1).normal(0.0, 0.02, 49)
+    rows = [f"{t},{abs(t + n):.4f}" for t, n in zip(np.linspace(-60.0, 60.0, 49), noise, strict=True)]
+    (folder / "bent.csv").write_text("\n".join(["target_deg,reading_deg", *rows]))
+    said = calrig("diagnose", "bent.csv").stdout
+    assert "not known" in said
+    assert "with bias and scale alone the readings do not follow the stage" in said
 
 
 @pytest.mark.parametrize("has_accelerometer", [False, True])

@@ -361,3 +361,19 @@ def test_what_a_spreadsheet_could_not_calculate_is_no_comment():
     with pytest.raises(CsvError) as bad:
         read_run(b"target_deg,reading_deg\n1,2\n#DIV/0!,3\n", "A")
     assert (bad.value.line, bad.value.column) == (3, "target_deg")
+
+
+@pytest.mark.parametrize(
+    ("stated", "sign"), [("sep=;", ";"), ('"SEP=;"', ";"), ("sep=,", ","), ("sep=\t", "\t")]
+)
+def test_a_spreadsheets_line_before_the_header_states_the_separator(stated, sign):
+    rows = [["target_deg", "reading_deg", "time_s"], ["10", "10.25", "0"], ["20", "20.5", "1"]]
+    text = "\r\n".join([stated, *(sign.join(row) for row in rows), ""])
+    poses, _, warnings, _ = read_run(("\ufeff" + text).encode(), "A")
+    assert poses.cells("reading_deg") == [10.25, 20.5]
+    assert warnings == ["line 1 is read as the separator of the cells"]
+
+
+def test_a_separator_that_is_not_read_is_refused_with_what_to_do():
+    with pytest.raises(CsvError, match=r"line 1: says that '\|' separates .* save the file with commas"):
+        read_run(b"sep=|\ntarget_deg|reading_deg\n10|10.5\n", "A")

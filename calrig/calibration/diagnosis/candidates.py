@@ -23,7 +23,7 @@ from calrig.calibration.regression.run_changes import (
     shapes_of,
     since,
 )
-from calrig.calibration.regression.terms import LEAST_TURN_DEG, THE_TURN
+from calrig.calibration.regression.terms import THE_TURN, goes_round
 from calrig.estimation.angles import FloatArray
 
 MOST_COLUMNS = 0.2
@@ -41,6 +41,7 @@ class Candidate:
         beside: another one whose columns come first, where both are considered as one.
         kind: the name, for an unnamed shape with its covariate: what it is, whenever it came.
         label: the kind, and between which runs it changed: what two forms of one thing share.
+        several: the effects it is made of, each by itself; empty of one.
         parameters: how many it adds to a model: coefficients, and one or two for a place that was scanned.
             One of n instants costs 2·log n in −2 log likelihood, twice a coefficient's log n (Zhang &
             Siegmund, Biometrics 63, 2007, for change points), and so does the choice of the runs that have
@@ -53,6 +54,7 @@ class Candidate:
     beside: Candidate | None = None
     kind: str = field(init=False)
     label: str = field(init=False)
+    several: tuple[Candidate, ...] = field(init=False)
     parameters: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -68,6 +70,11 @@ class Candidate:
             parameters += self.beside.parameters
             if self.changed is not None and self.beside.beside is not None:
                 label = f"{self.name} between all runs"
+        members: tuple[Candidate, ...] = ()
+        if self.beside is not None:
+            alone = Candidate(self.effect, self.shape, self.columns[:, :, before:])
+            members = (*self.beside.members, alone)
+        object.__setattr__(self, "several", members)
         object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "label", label)
         object.__setattr__(self, "parameters", parameters)
@@ -75,10 +82,7 @@ class Candidate:
     @property
     def members(self) -> tuple[Candidate, ...]:
         """The effects it is made of, each by itself."""
-        if self.beside is None:
-            return (self,)
-        width = self.beside.columns.shape[2]
-        return *self.beside.members, Candidate(self.effect, self.shape, self.columns[:, :, width:])
+        return self.several or (self,)
 
     def is_possible(self, beta: FloatArray) -> bool:
         """Return whether the coefficients (≥ p,), its own first, are any that physics allows."""
@@ -219,11 +223,6 @@ def _together(a: Candidate, b: Candidate) -> Candidate:
     return Candidate(b.effect, b.shape, np.concatenate([a.columns, b.columns], axis=2), a)
 
 
-def goes_round(r: Responses) -> bool:
-    """Return whether the poses cover a turn, so that its orders mean something."""
-    return float(np.ptp(r.theta_deg)) >= LEAST_TURN_DEG
-
-
 def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
     """The first terms of each series as one, so many and more: each alone may look like noise.
 
@@ -272,20 +271,49 @@ def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
     """Return the same form of the same effect in other poses; None where they cannot show it.
 
+    What was one with another thing in its own poses may have further parameters in others, and what stood
+    alone there may be a part of the whole: `coefficients_in` says what its coefficients are in them.
+
     Args:
         candidate: as it was found, elsewhere.
         r: the poses to rebuild it in.
         form: another form of it.
     """
-    wanted = candidate.shape.form if form is None else form
-    shapes = list(candidate.effect.forms(r, candidate.shape.at))
-    forms = [
-        shape
-        for shape in changed_shapes(r, candidate.changed, shapes)
-        if shape.form == wanted and shape.covariate == candidate.shape.covariate
-    ]
-    nearest = _nearest(forms, candidate.shape.at)
-    return candidate_of(r, candidate.effect, nearest[0]) if nearest else None
+    beside = None if candidate.beside is None else rebuilt(candidate.beside, r)
+    if candidate.beside is not None and beside is None:
+        return None
+    shapes = changed_shapes(r, candidate.changed, list(candidate.effect.forms(r, candidate.shape.at)))
+    for wanted in (candidate.shape.form, candidate.shape.part_of) if form is None else (form,):
+        forms = [s for s in shapes if s.form == wanted and s.covariate == candidate.shape.covariate]
+        if form is None:
+            forms = [s for s in forms if {*candidate.shape.parameters} <= {*s.parameters}]
+        nearest = _nearest(forms, candidate.shape.at)
+        if nearest:
+            own = candidate_of(r, candidate.effect, nearest[0])
+            return own if beside is None else _together(beside, own)
+    return None
+
+
+def coefficients_in(there: Candidate, found: Candidate, beta: FloatArray) -> FloatArray | None:
+    """Return (q,) what coefficients (p,) of a candidate are where it was rebuilt in other poses.
+
+    A parameter that the poses it was found in did not show is 0. None where a column has another meaning.
+    """
+    own: list[FloatArray] = []
+    first = 0
+    for one, other in zip(found.members, there.members, strict=True):
+        width, wide = one.columns.shape[2], other.columns.shape[2]
+        names, wanted = one.shape.parameters, other.shape.parameters
+        sizes, first = beta[first : first + width], first + width
+        if names != wanted:
+            if len(names) != width or len(wanted) != wide or not {*names} <= {*wanted}:
+                return None
+            known = dict(zip(names, sizes, strict=True))
+            sizes = np.array([known.get(name, 0.0) for name in wanted])
+        elif width != wide:  # a curve of other knots
+            return None
+        own.append(sizes)
+    return np.concatenate(own)
 
 
 def documented_forms(

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidates import Candidate, model_columns, rebuilt
+from calrig.calibration.diagnosis.candidates import Candidate, coefficients_in, model_columns, rebuilt
 from calrig.calibration.diagnosis.ranking import SAME, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.effects import covariate_of
@@ -130,8 +130,9 @@ def design(
     spread = [round(float(p), 3) for p in np.linspace(*limits_deg, MOST_POSES // 2 + 2)[1:-1]]
     waits_s = _waits(runs, suspects)
     shuffled = [round(float(p), 3) for p in rng.permutation(np.linspace(*limits_deg, 2 * MOST_POSES))]
-    if not trial.has_channels_of(findings.responses, shuffled):
-        return "no run is designed that would separate the suspects: a witness repeats the elevation exactly"
+    undesigned = trial.why_none(findings.responses, shuffled)
+    if undesigned:
+        return f"no run is designed that would separate the suspects: {undesigned}"
     trial.keep_distinguishable([(shuffled, 0.0), *((spread * 2, wait_s) for wait_s in waits_s)])
     chosen = _greedy(trial, limits_deg, rng, progress)
     separation, sweeps, wait_s = trial.separation(chosen), 1, 0.0
@@ -206,29 +207,47 @@ class _Trial:
         within = {k for pair in self.pairs for k in pair} or range(len(self._suspects))
         return [self._suspects[k] for k in sorted(within)]
 
-    def has_channels_of(self, r: Responses, elevations_deg: Sequence[float]) -> bool:
-        """Return whether further poses leave the channels as they are: they bring in one that was exact."""
-        return self._with(elevations_deg, 0.0).channels == r.channels
+    def why_none(self, r: Responses, elevations_deg: Sequence[float]) -> str:
+        """Return why nothing can be said of further poses; empty where it can."""
+        further = self._with(elevations_deg, 0.0)
+        if further.channels != r.channels:  # they bring in one that was exact
+            return "a witness repeats the elevation exactly"
+        there = self._suspects_in(with_free_levels(further))
+        unknown = [suspect for suspect, again in zip(self._suspects, there, strict=True) if again is None]
+        if len(there) - len(unknown) >= 2:
+            return ""
+        untold = " and ".join(dict.fromkeys(one.words_in(r) for one in unknown))
+        return f"these poses do not say what {untold} does in others"
 
     def _with(self, elevations_deg: Sequence[float], wait_s: float) -> Responses:
         return responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)
+
+    def _suspects_in(self, r: Responses) -> list[tuple[Candidate, FloatArray] | None]:
+        """Each suspect in other poses with its sizes there; None where these are not known."""
+        there: list[tuple[Candidate, FloatArray] | None] = []
+        for suspect, sizes in zip(self._suspects, self._sizes, strict=True):
+            again = predicted(suspect, r)
+            known = None if again is None else coefficients_in(again, suspect, sizes)
+            there.append(None if again is None or known is None else (again, known))
+        return there
 
     def _distances(self, elevations_deg: Sequence[float], wait_s: float) -> dict[tuple[int, int], float]:
         """Of each pair that counts, with the one true that is the harder to tell."""
         r = with_free_levels(self._with(elevations_deg, wait_s))
         others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
-        suspects = [predicted(s, r) for s in self._suspects]
+        suspects = self._suspects_in(r)
         found: dict[tuple[int, int], float] = {}
         for k, true in enumerate(suspects):
-            if true is None or true.columns.shape[2] != len(self._sizes[k]):
-                continue  # a drift that was a part of the elevation's line has more columns where it is none
-            shown = (true.columns @ self._sizes[k]) * r.known
+            if true is None:
+                continue
+            effect, sizes = true
+            shown = (effect.columns @ sizes) * r.known
             target = self._noise.whiten(shown, r.starts).ravel()
             for j, rival in enumerate(suspects):
                 pair = min(j, k), max(j, k)
                 if rival is None or pair not in self.pairs:
                     continue
-                design = stacked(self._noise, r.starts, model_columns(r, [*others, rival]))
+                design = stacked(self._noise, r.starts, model_columns(r, [*others, rival[0]]))
                 left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
                 found[pair] = min(found.get(pair, math.inf), float(left @ left))
         return {pair: found.get(pair, 0.0) for pair in self.pairs}

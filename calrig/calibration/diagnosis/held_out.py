@@ -91,7 +91,7 @@ def cross_validate(
         progress(k / folds)
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen = r.rows(train)
-        base[test] = errors_deg(r, (), fit(seen, seen.base).beta, test)
+        base[test] = errors_deg(r, (), _line(seen), test)
         of_fold = [c.rows(train) for c in candidates]
         findings = search(
             seen, of_fold, rng, bootstraps=BOOTSTRAPS, decide_only=True, rivals=rivals, noises=noises
@@ -117,7 +117,11 @@ def _in_all_poses(found: Candidate, r: Responses, candidates: Sequence[Candidate
     A curve built anew would have other knots where outliers have left, and its coefficients another meaning.
     """
     offered = (c for c in candidates if (c.label, c.shape.form) == (found.label, found.shape.form))
-    return next((c for c in offered if c.shape.at == found.shape.at), None) or rebuilt(found, r)
+    same = next((c for c in offered if c.shape.at == found.shape.at), None)
+    there = rebuilt(found, r) if same is None else same
+    if there is None or there.columns.shape[2] != found.columns.shape[2]:
+        return None  # the fold's coefficients mean nothing in other columns
+    return there
 
 
 def without_harm(
@@ -194,6 +198,15 @@ def errors_deg(
     scale = 1.0 if scale_at is None else 1.0 + beta[scale_at] / SCALE_UNIT_DEG
     columns = model_columns(r, accepted)[test, 0, :]
     return np.asarray((r.values[test, 0] - columns @ beta) / scale, dtype=np.float64)
+
+
+def _line(r: Responses) -> FloatArray:
+    """Return the coefficients (p,) of bias and scale alone, by least squares, as a calibration fits them.
+
+    Where noise wanders, those of the model's own likelihood follow what changes from pose to pose: of
+    readings that lag behind a step, hardly any scale.
+    """
+    return np.asarray(np.linalg.lstsq(r.base[:, 0, :], r.values[:, 0], rcond=None)[0], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,8 +345,11 @@ def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatA
     errors, fold = np.zeros(len(r)), folds_of(r) if along == BETWEEN else _folds(r)[along]
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
-        shown = _shown(r, accepted, train)
-        model = fitted_model(r.rows(train), [c.rows(train) for c in shown])
+        seen, shown = r.rows(train), _shown(r, accepted, train)
+        if not accepted:
+            errors[test] = errors_deg(r, (), _line(seen), test)
+            continue
+        model = fitted_model(seen, [c.rows(train) for c in shown])
         errors[test] = errors_deg(*linear_about(r, shown, model), model.fitted.beta, test)
     return errors
 

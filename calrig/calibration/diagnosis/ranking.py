@@ -21,7 +21,6 @@ from calrig.calibration.diagnosis.candidates import (
     Candidate,
     at_its_elevations,
     candidate_at,
-    goes_round,
 )
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.diagnosis.sensor_model import (
@@ -31,6 +30,7 @@ from calrig.calibration.diagnosis.sensor_model import (
 from calrig.calibration.effects.stage_periodic import spacing_deg
 from calrig.calibration.regression.effect import Shape
 from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import goes_round
 from calrig.estimation.angles import FloatArray
 
 MARGIN = 6.0

@@ -263,9 +263,9 @@ def _against_rivals(
     its = one.candidate.covariate
 
     def competes(c: Candidate) -> bool:
-        is_single = c.beside is None or c.shape.series or (_brings(c, one) and not is_on_trial(c))
-        is_alike = not names_only or (c.named and all(member.covariate == its for member in c.members))
-        return bool(is_single) and is_alike
+        if names_only and not (c.named and all(member.covariate == its for member in c.members)):
+            return False
+        return c.beside is None or c.shape.series != "" or (_brings(c, one) and not is_on_trial(c))
 
     rivals = offered(model.responses, candidates, others, set(), competes)
     if not rivals:

@@ -22,7 +22,6 @@ from calrig.calibration.diagnosis.candidates import (
     Candidate,
     at_its_elevations,
     companions_of,
-    goes_round,
     model_columns,
 )
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
@@ -55,7 +54,7 @@ from calrig.calibration.regression.noise_model import STRONG_RHO, Fit, NoiseMode
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.run_changes import RUN, is_level, with_free_levels
 from calrig.calibration.regression.spline import natural_spline
-from calrig.calibration.regression.terms import less_line
+from calrig.calibration.regression.terms import goes_round, less_line
 from calrig.estimation.angles import FloatArray
 
 LEAST_SHARE = 0.05
@@ -232,7 +231,7 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
 
 LEVEL, AT_FIRST = 0.01, 0.75
 """Family-wise significance level of a search; the share of it spent before a search with free curves."""
-MOST_EFFECTS, MOST_COLUMNS = 5, 0.35
+MOST_EFFECTS, MOST_COLUMNS = 8, 0.35
 """Most effects of a model, a series such as the orders of a turn counted once; most columns per pose."""
 
 

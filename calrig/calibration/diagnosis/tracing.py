@@ -30,14 +30,14 @@ from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, 
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.effects.unnamed import TIMES
-from calrig.calibration.line import FARTHEST_STD_DEG, MIN_SCALE, fit_line, rms
+from calrig.calibration.line import FARTHEST_STD_DEG, MIN_SCALE, Line, fit_line, rms
 from calrig.calibration.poses import DiagnosisError, Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE
 from calrig.calibration.regression.effect import APPROACH
 from calrig.calibration.regression.motion import DERIVED_APPROACH, with_approach
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
-from calrig.calibration.regression.responses import names_of, responses_of
+from calrig.calibration.regression.responses import Responses, names_of, responses_of
 from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
@@ -133,7 +133,7 @@ def _rests_on_approach(findings: Findings) -> bool:
 
 def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFit:
     r = findings.responses
-    residual_deg = _after_deg(findings)
+    residual_deg = _after_deg(findings) if findings.found else _before(r)[1]
     freed = "reading.first" in r.base_names
     of_reading = int(np.any(findings.columns[:, 0, :] != 0.0, axis=0).sum())
     return lack_of_fit(
@@ -198,8 +198,7 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     """Return the diagnosis as CONTRACT section 5 has it, without follow-up and confirmation."""
     findings = diagnosis.findings
     r = findings.responses
-    before = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
-    before_deg = before.left_deg(r.theta_deg, r.theta_deg + r.values[:, 0])
+    before, before_deg = _before(r)
     after_deg = _after_deg(findings)
     effects = effect_documents(r, findings)
     verdicts = [effect["verdict"] for effect in effects]
@@ -254,6 +253,13 @@ def _noise(lack: LackOfFit) -> dict[str, Any]:
         "pure_error_deg": None if lack.pure is None else lack.pure.std_deg,
         "lack_of_fit": None if lack.f is None else tested,
     }
+
+
+def _before(r: Responses) -> tuple[Line, FloatArray]:
+    """Return bias and scale alone, and (n,) what they leave of the readings, in degrees of elevation."""
+    reading_deg = r.theta_deg + r.values[:, 0]
+    line = fit_line(r.theta_deg, reading_deg)
+    return line, line.left_deg(r.theta_deg, reading_deg)
 
 
 def _after_deg(findings: Findings) -> FloatArray:

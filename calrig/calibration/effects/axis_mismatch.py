@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,11 +12,9 @@ from calrig.calibration.regression.effect import (
     Effect,
     Parameter,
     Parameters,
-    Shape,
     VectorError,
     VectorInC,
 )
-from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
     ON_VECTOR,
     c_literal,
@@ -27,14 +24,10 @@ from calrig.calibration.regression.terms import (
     within,
 )
 
+NAMES = ("gain_pct", "skew_deg")
 LARGEST_GAIN_PCT, LARGEST_SKEW_DEG = 10.0, 5.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±3 % of gain an axis, ±2 % (1.1°) across axes;
 other parts have up to ±10 % (ADXL345 data sheet: 230 to 282 LSB/g)."""
-
-
-def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
-    if turns(r):
-        yield from vector_forms(r, _on_vector_g, ("gain_pct", "skew_deg"))
 
 
 def _on_vector_g(p: Applied) -> VectorError:
@@ -57,7 +50,7 @@ EFFECT = Effect(
     covariate=ELEVATION,
     parameters=(Parameter("gain_pct", "Gain error", "%"), Parameter("skew_deg", "Skew", "°")),
     formula=ON_VECTOR + "a_y → (1 + gain_pct/100)·(a_y + a_z·sin skew_deg)",
-    forms=_forms,
+    forms=lambda r, _at: vector_forms(r, _on_vector_g, NAMES) if turns(r) else iter(()),
     scan=where_axes_show,
     on_vector_g=_on_vector_g,
     in_c=_in_c,

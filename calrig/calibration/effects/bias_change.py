@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from calrig.calibration.regression.channels import READING
-from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Shape
 from calrig.calibration.regression.run_changes import RUN
-
-
-def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
-    yield Shape({READING: np.ones(len(r))}, ("deg",))
-
 
 EFFECT = Effect(
     name="bias_change",
@@ -24,7 +16,7 @@ EFFECT = Effect(
     covariate=RUN,
     parameters=(Parameter("deg", "Bias (later − earlier)", "°"),),
     formula="deg in the later runs",
-    forms=_forms,
+    forms=lambda r, _at: iter([Shape({READING: np.ones(len(r))}, ("deg",))]),
     on_reading_deg=lambda p: np.full(len(p.theta_deg), p.value("deg")),
     in_c=NotInFlight("the bias that is fitted holds it"),
     apart="the filter, its offsets or its gyro bias moved, and not the unit",

@@ -13,7 +13,6 @@ import numpy as np
 
 from calrig.calibration.regression.effect import (
     TIME,
-    Applied,
     Effect,
     NotInFlight,
     Parameter,
@@ -58,10 +57,6 @@ def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> 
     return min((one for at in tried for one in _forms(r, {"began_s": at})), key=criterion, default=None)
 
 
-def _on_reading_deg(p: Applied) -> FloatArray:
-    return p.value("deg_per_decade") * _decades(p.column("time_s"), p.value("began_s"))
-
-
 EFFECT = Effect(
     name="mount_creep",
     title="Creep of the mount",
@@ -76,7 +71,7 @@ EFFECT = Effect(
     forms=_forms,
     scan=_scan,
     refine=_refine,
-    on_reading_deg=_on_reading_deg,
+    on_reading_deg=lambda p: p.value("deg_per_decade") * _decades(p.column("time_s"), p.value("began_s")),
     in_c=NotInFlight("the mount is fastened anew for flight"),
     apart="fast at first and ever slower, whatever the temperature does: measure again without touching it",
     remedy="wait between fastening and measuring, ten times as long as a run takes; or clamp it stiffer",

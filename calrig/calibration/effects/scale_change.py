@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Parameters, Shape
-from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Shape
 from calrig.calibration.regression.run_changes import RUN
 from calrig.calibration.regression.terms import turned, turns
-
-
-def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
-    if turns(r):
-        yield Shape(turned(r, r.theta_deg), ("scale",))
-
 
 EFFECT = Effect(
     name="scale_change",
@@ -23,7 +14,7 @@ EFFECT = Effect(
     covariate=RUN,
     parameters=(Parameter("scale", "Scale (later − earlier)", ""),),
     formula="scale·θ in the later runs",
-    forms=_forms,
+    forms=lambda r, _at: iter([Shape(turned(r, r.theta_deg), ("scale",))] if turns(r) else []),
     on_reading_deg=lambda p: p.value("scale") * p.theta_deg,
     in_c=NotInFlight("an elevation by atan2 has no scale of its own: it belongs to the stage"),
     apart="the unit measured on another stage does not have it",

@@ -38,10 +38,6 @@ CREEPS_S = (0.3, 0.7, 1.5, 3.0, 6.0)
 """Time constants that are tried of what creeps behind a turn."""
 
 
-def _scan(r: Responses) -> Iterator[Parameters]:
-    yield from [{"lag_s": lag_s} for lag_s in CREEPS_S] if r.stretch_deg.any() else [{}]
-
-
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if np.abs(r.move_deg).max() == 0.0:
         return
@@ -62,11 +58,6 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         # what is missing when the dwell begins goes with the move itself: the gain of the gyro's base has it
         shares = {**tilted(-r.move_deg), MOVE: share * moves_before}
         yield Shape(shares, ("fraction",), form=f"creep, {share:g} left")
-
-
-def _possible(_shape: Shape, beta: FloatArray) -> bool:
-    """Return whether a reading is behind its move: one ahead of it has not failed to settle."""
-    return 0.0 <= float(beta[0]) <= LARGEST_FRACTION
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
@@ -90,10 +81,11 @@ EFFECT = Effect(
     ),
     formula="−fraction·move; of a sweep −fraction·b, lag_s·db/dt = lag_s·velocity − b",
     forms=_forms,
-    scan=_scan,
+    scan=lambda r: iter([{"lag_s": lag_s} for lag_s in CREEPS_S] if r.stretch_deg.any() else [{}]),
     on_reading_deg=_on_reading_deg,
     in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the last move; unequal steps in random order tell it from backlash",
     remedy="settle longer before the dwell",
-    possible=_possible,
+    # a reading ahead of its move has not failed to settle
+    possible=lambda _shape, beta: 0.0 <= float(beta[0]) <= LARGEST_FRACTION,
 )

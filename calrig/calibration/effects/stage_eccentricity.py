@@ -17,11 +17,13 @@ from calrig.calibration.regression.effect import (
 )
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
+    LEAST_TURN_DEG,
     THE_TURN,
     alike_a_drift,
     amplitude_and_phase,
     amplitude_within,
     c_wave,
+    goes_round,
     turned,
     turns,
     wave_deg,
@@ -33,12 +35,10 @@ LARGEST_AMPLITUDE_DEG = 30.0
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
-    if turns(r):
-        columns = _sine_and_cosine(r.theta_deg)
-        names = ("amplitude_deg", "phase_deg")
+    if turns(r) and (r.arc_deg < LEAST_TURN_DEG or goes_round(r)):  # not of many turns at the same places
         yield Shape(
-            turned(r, columns),
-            names,
+            turned(r, _sine_and_cosine(r.theta_deg)),
+            ("amplitude_deg", "phase_deg"),
             series=THE_TURN,
             alike=alike_a_drift(r),
             at_elevation=_sine_and_cosine,

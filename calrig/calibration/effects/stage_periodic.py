@@ -25,7 +25,7 @@ from calrig.calibration.regression.effect import (
 )
 from calrig.calibration.regression.motion import kept_in_mean
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import THE_TURN, amplitude_and_phase, c_wave, wave_deg
+from calrig.calibration.regression.terms import THE_TURN, amplitude_and_phase, c_wave, covered, wave_deg
 from calrig.estimation.angles import FloatArray
 
 BIN_DEG, MOST_BINS = 0.05, 2**18
@@ -106,6 +106,8 @@ PLACES, MOST_PLACES, PLACES_A_POSE = (3.0, 2.0), 400, 12.0
 """Frequencies scanned to a resolution of 1/arc: fewer where there are many; so many to a pose at most."""
 MOST_HARMONICS = 8
 """Of a worm or a motor: more of them are what a curve is."""
+LEAST_SHARE = 0.5
+"""Of a period: what poses must stand in."""
 APART = 0.75
 """Of a resolution: two waves closer than that are one, and cancel each other where both are fitted."""
 ALIKE_POWER, MOST_ALIKE = 0.4, 12
@@ -164,12 +166,14 @@ def _scanned(theta_deg: FloatArray, arc: float, step: float | None) -> FloatArra
 def _carried(r: Responses, shape: Shape) -> bool:
     """Return whether the poses determine period, amplitude and phase of a wave together.
 
-    A period beyond the arc is a curve. Evenly spaced poses show waves near twice the spacing, or near a part
-    of it, as one that alternates or drifts: amplitude and phase are one number there. Evenly spaced readings
-    show none of less than twice the spacing.
+    A period beyond the arc is a curve, and so is one of which poses of many turns show less than half. Evenly
+    spaced poses show waves near twice the spacing, or near a part of it, as one that alternates or drifts:
+    amplitude and phase are one number there. Evenly spaced readings show none of less than twice the spacing.
     """
     frequency, arc = 1.0 / shape.at.get("period_deg", TURN_DEG), r.arc_deg
     if frequency * (1.0 + ROUNDING) < max(1.0 / TURN_DEG, 1.0 / arc):
+        return False
+    if covered(r.theta_deg, 1.0 / frequency) < LEAST_SHARE / frequency:
         return False
     step = step_deg(r)
     if step is None:
@@ -279,15 +283,6 @@ def _on_reading_deg(p: Applied) -> FloatArray:
     return wave if turned_deg is None else wave * kept_in_mean(turned_deg, period_deg)
 
 
-def _possible(shape: Shape, beta: FloatArray) -> bool:
-    """Return an axis that turns on as its stage does: a steeper wave would turn it back."""
-    return bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"])
-
-
-def _in_c(p: Parameters) -> str:
-    return c_wave(p, 360.0 / p["period_deg"])
-
-
 EFFECT = Effect(
     name="stage_periodic",
     title="Periodic error of the stage",
@@ -303,11 +298,12 @@ EFFECT = Effect(
     forms=_forms,
     scan=_scan,
     on_reading_deg=_on_reading_deg,
-    in_c=_in_c,
+    in_c=lambda p: c_wave(p, 360.0 / p["period_deg"]),
     apart="its period: jittered elevations tell the periods apart that an even spacing confuses",
     remedy="correct by the rig error map; look at the worm, its preload, the motor's steps",
     reported=amplitude_and_phase,
-    possible=_possible,
+    # a steeper wave would turn the axis back while its stage turns on
+    possible=lambda shape, beta: bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"]),
     place="period_deg",
     settled=_settled,
     look_alikes=_look_alikes,

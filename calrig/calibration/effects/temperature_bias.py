@@ -10,19 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.regression.effect import (
-    TEMPERATURE,
-    Applied,
-    Effect,
-    Parameter,
-    Parameters,
-    Shape,
-    VectorError,
-    VectorInC,
-)
+from calrig.calibration.regression.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape, VectorInC
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import c_literal, c_warmer, tilted, warmer_c, within
-from calrig.estimation.angles import FloatArray
 
 LARGEST_DEG_PER_C = 1.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: zero-g output ±60 mg over 70 °C, 0.05°/°C;
@@ -35,14 +25,6 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         return
     warmer, reference_c = found
     yield Shape(tilted(warmer), ("deg_per_c",), at={"reference_c": reference_c})
-
-
-def _on_reading_deg(p: Applied) -> FloatArray:
-    return p.value("deg_per_c") * p.warmer_c() * (not p.value("of_axis_y"))
-
-
-def _on_vector_g(p: Applied) -> VectorError:
-    return np.radians(p.value("deg_per_c")) * p.warmer_c() * bool(p.value("of_axis_y")), 0.0
 
 
 def _in_c(p: Parameters) -> str | VectorInC:
@@ -65,8 +47,11 @@ EFFECT = Effect(
     ),
     formula="β = deg_per_c·(T − reference_c); with of_axis_y, a_y + β·π/180 instead",
     forms=_forms,
-    on_reading_deg=_on_reading_deg,
-    on_vector_g=_on_vector_g,
+    on_reading_deg=lambda p: p.value("deg_per_c") * p.warmer_c() * (not p.value("of_axis_y")),
+    on_vector_g=lambda p: (
+        np.radians(p.value("deg_per_c")) * p.warmer_c() * bool(p.value("of_axis_y")),
+        0.0,
+    ),
     in_c=_in_c,
     apart="a second warm-up, or cooling back, tells temperature from time",
     remedy="wait until the unit is warm, or correct by its own thermometer",

@@ -20,12 +20,14 @@ from calrig.calibration.regression.terms import (
     ON_VECTOR,
     c_literal,
     c_warmer,
+    said_of_two_signals,
     turns,
     vector_forms,
     warmer_c,
     within,
 )
 
+NAMES = ("y_mg_per_c", "z_mg_per_c")
 LARGEST_MG_PER_C = 10.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±60 mg over 70 °C, 0.9 mg/°C;
 ten times as much."""
@@ -34,17 +36,12 @@ ten times as much."""
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     found = warmer_c(r, at)
     if found is not None and turns(r):
-        yield from vector_forms(r, _on_vector_g, ("y_mg_per_c", "z_mg_per_c"), {"reference_c": found[1]})
+        yield from vector_forms(r, _on_vector_g, NAMES, {"reference_c": found[1]})
 
 
 def _on_vector_g(p: Applied) -> VectorError:
     warmer = p.warmer_c() * MG
     return p.value("y_mg_per_c") * warmer, p.value("z_mg_per_c") * warmer
-
-
-def _in_c(p: Parameters) -> VectorInC:
-    coefficients = (c_literal(p.get(name, 0.0) * MG) for name in ("y_mg_per_c", "z_mg_per_c"))
-    return VectorInC(*(f"{coefficient} * {c_warmer(p)}" for coefficient in coefficients))
 
 
 EFFECT = Effect(
@@ -61,10 +58,11 @@ EFFECT = Effect(
     formula=ON_VECTOR + "a_y + y_mg_per_c/1000·(T − reference_c), a_z + z_mg_per_c/1000·(T − reference_c)",
     forms=_forms,
     on_vector_g=_on_vector_g,
-    in_c=_in_c,
+    in_c=lambda p: VectorInC(*(f"{c_literal(p.get(name, 0.0) * MG)} * {c_warmer(p)}" for name in NAMES)),
     apart="clamped at another angle, the unit takes it along",
     seen_by_gravity="|accelerometer| changes with temperature as y·sin θ + z·cos θ",
     remedy="wait until the unit is warm, or correct the offsets by its own thermometer",
     together_with=("accelerometer_offset",),
+    evidence=said_of_two_signals,
     possible=within(y_mg_per_c=LARGEST_MG_PER_C, z_mg_per_c=LARGEST_MG_PER_C),
 )

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from calrig.calibration.effects.stage_periodic import spacing_deg, steps_of
-from calrig.calibration.regression.channels import ANGLE, MOVE, READING, BoolArray
+from calrig.calibration.regression.channels import ANGLE, MOVE, READING
 from calrig.calibration.regression.effect import (
     ELEVATION,
     ApplyError,
@@ -36,7 +36,15 @@ from calrig.calibration.regression.spline import (
     curve_document,
     natural_spline,
 )
-from calrig.calibration.regression.terms import amplitude_and_phase, size_deg, tilted, turned, turns
+from calrig.calibration.regression.terms import (
+    amplitude_and_phase,
+    covered,
+    is_time_elevation,
+    size_deg,
+    tilted,
+    turned,
+    turns,
+)
 from calrig.estimation.angles import FloatArray
 
 UNITS = {
@@ -120,12 +128,6 @@ def circle(column_deg: FloatArray, orders: int) -> FloatArray:
     return np.asarray(waves.reshape(len(column_deg), -1), dtype=np.float64)
 
 
-def arc_deg(column_deg: FloatArray) -> float:
-    """Return how much of a circle the angles of a column cover: all of it but the widest gap between them."""
-    around = np.sort(np.mod(column_deg, 360.0))
-    return 360.0 - float(np.diff(around, append=around[0] + 360.0).max())
-
-
 def rate(r: Responses, name: str) -> FloatArray | None:
     """Return (n,) change of a column per second; None without times that advance within each run."""
     column, runs = _continuous(r, name), _runs(r)
@@ -180,7 +182,7 @@ def products(r: Responses) -> Iterator[tuple[str, tuple[str, str], FloatArray]]:
 
 def _as_factor(name: str, columns: Mapping[str, FloatArray]) -> FloatArray:
     column = columns[name]
-    if name != "target_deg" and is_circle(name) and arc_deg(column) >= LEAST_ARC_DEG:
+    if name != "target_deg" and is_circle(name) and covered(column) >= LEAST_ARC_DEG:
         return circle(column, 1)
     return standardised(column)[:, None]
 
@@ -195,7 +197,7 @@ def _runs(r: Responses) -> list[tuple[slice, FloatArray]] | None:
     """Return each run and its times; None where they are not known or do not advance."""
     if r.time_s is None:
         return None
-    ends = [*np.flatnonzero(_firsts(r.starts))[1:], len(r)]
+    ends = [*(1 + np.flatnonzero(r.starts[1:])), len(r)]
     runs, first = [], 0
     for end in ends:
         time_s = r.time_s[first:end]
@@ -206,20 +208,19 @@ def _runs(r: Responses) -> list[tuple[slice, FloatArray]] | None:
     return runs
 
 
-def _firsts(starts: BoolArray) -> BoolArray:
-    """Return where runs begin; the first pose that is left of some begins one too."""
-    return np.asarray(np.append(True, starts[1:]), dtype=np.bool_)
-
-
 KNOTS = (3, 5)
 MORE_KNOTS, POSES_A_KNOT = (9, 17, 33), 12
 """Of the elevation, where there are so many poses to each: a potentiometer may be wavy all along."""
 OF_THE_READING = ", of the reading alone"
 ALTERNATING = "alternating from step to step"
 UNSTEADY = "from pose to pose"
+ALIKE_NEARBY = 0.25
+"""Correlation of what poses have next to each other, beyond which it follows the place, and is no error."""
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
+ONE_PLACE = 1e-3
+"""Of a column's range: a stage that comes back to a place is as far off."""
 MOST_CYCLES = 60.0
 """A run is searched for cycles in time up to this many, or as many as its poses can show."""
 Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
@@ -232,7 +233,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
         yield from _of_one(r.temperature_c, "temperature_c", tilted)
     for name, column in r.covariates.items():
-        if is_circle(name) and arc_deg(column) >= LEAST_ARC_DEG:
+        if is_circle(name) and covered(column) >= LEAST_ARC_DEG:
             yield replace(_shape(tilted(circle(column, 1)), name, CIRCLE), at={"period": 360.0})
             yield replace(_shape(tilted(circle(column, 2)), name, CIRCLE_2), at={"period": 360.0})
         yield _shape(tilted(standardised(column)), name, "linear")
@@ -245,14 +246,15 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.time_s is not None and np.ptp(r.time_s) > 0.0:
         for count in KNOTS:
             yield _shape(tilted(natural_spline(r.time_s, count)), "time_s", f"smooth {count}")
-        yield from _cycles(r, r.time_s)
+        if not is_time_elevation(r):  # there a cycle of time is a period of the angle
+            yield from _cycles(r, r.time_s)
 
 
 def _of_elevation(r: Responses) -> Iterator[Shape]:
     """Curves of the elevation, the same or not from both sides, and those that the stage itself makes."""
     yield from _of_one(r.theta_deg, "target_deg", tilted, has_knots=r.reference_is_good)
     for count in MORE_KNOTS:
-        if len(r) >= POSES_A_KNOT * count and len(np.unique(r.theta_deg)) > count + 1:
+        if len(r) >= POSES_A_KNOT * count and _places(r.theta_deg) > count + 1:
             yield _smooth(r.theta_deg, count, "target_deg", tilted, has_knots=r.reference_is_good)
     if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
         for count in KNOTS:
@@ -283,7 +285,9 @@ def _unsteady(r: Responses) -> Iterator[Shape]:
     inner_off_deg = np.where(before_deg * after_deg > 0.0, (before_deg - after_deg) / 2.0, 0.0)
     off_deg = np.zeros(len(r))
     off_deg[inner] = inner_off_deg
-    if np.count_nonzero(off_deg) > len(r) / 2:
+    along_deg = off_deg[np.argsort(r.theta_deg, kind="stable")]
+    is_of_place = along_deg[1:] @ along_deg[:-1] > ALIKE_NEARBY * (along_deg @ along_deg)
+    if np.count_nonzero(off_deg) > len(r) / 2 and not is_of_place:
         yield _shape(turned(r, off_deg), "target_deg", UNSTEADY)
 
 
@@ -315,7 +319,7 @@ def _smooth(z: FloatArray, pieces: int, name: str, seen_by: Shares, *, has_knots
 def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = False) -> Iterator[Shape]:
     for count in _counts(z):
         yield _smooth(z, count, name, seen_by, has_knots=has_knots)
-    if len(np.unique(z)) < FEWEST_VALUES:
+    if _places(z) < FEWEST_VALUES:
         return
     for place in np.unique(np.quantile(z, PLACES)):
         at = {"at": float(place)}
@@ -344,8 +348,13 @@ def _step(z: FloatArray, place: float) -> FloatArray:
 
 
 def _counts(z: FloatArray) -> list[int]:
-    values = len(np.unique(z))
-    return [count for count in KNOTS if values > count + 1]
+    places = _places(z)
+    return [count for count in KNOTS if places > count + 1]
+
+
+def _places(z: FloatArray) -> int:
+    """Return how many values a column takes, those that differ by less than `ONE_PLACE` taken as one."""
+    return len(np.unique(np.round((z - z.min()) / (ONE_PLACE * (np.ptp(z) or 1.0)))))
 
 
 def _of_the_reading(column: FloatArray, name: str) -> Iterator[Shape]:

@@ -20,6 +20,7 @@ from calrig.calibration.poses import (
     complete,
     covariates_of,
     refuse_what_is_no_elevation,
+    refuse_what_is_on_its_way,
 )
 from calrig.calibration.regression.channels import (
     ANGLE,
@@ -227,8 +228,12 @@ def responses_of(
     theta = np.array([pose.theta_deg for pose in poses])
     reading = np.array([pose.reading_deg for pose in poses])
     refuse_what_is_no_elevation(theta, reading)
-    if np.abs(reading - theta).max() > 180.0:
-        warnings.append("some readings are a whole turn away from the stage: they were taken on its turn")
+    for run in kept:
+        refuse_what_is_on_its_way(*np.array([(pose.theta_deg, pose.reading_deg) for pose in run]).T)
+    is_far = np.abs(reading - theta) > 180.0
+    if is_far.any():
+        which = "all" if is_far.all() else "some"
+        warnings.append(f"{which} readings are a whole turn away from the stage: they were taken on its turn")
     move = np.nan_to_num(np.concatenate([moves_deg(run) for run in kept]))
     table = Channels(theta, move, starts, run_index)
     error = reading_error_deg(theta, reading)

@@ -30,8 +30,8 @@ DEG = 180.0 / np.pi
 MG = 1e-3
 ONE_THING = 1e-3
 """Of the time's standard deviation, what bias and elevation leave of it where the two are one thing."""
-LEAST_TURN_DEG = 330.0
-"""Poses over such an arc go round: the orders of a turn come apart."""
+LEAST_TURN_DEG, LEAST_SHOWN_DEG = 330.0, 180.0
+"""Poses over such an arc, that stand in so much of a turn, go round: the orders of a turn come apart."""
 THE_TURN = "the turn"
 """The series of a full turn's orders."""
 SMALL_STEP = 1e-3
@@ -63,6 +63,17 @@ def turns(r: Responses) -> bool:
     return float(np.ptp(r.theta_deg)) > 1.0
 
 
+def covered(angles_deg: FloatArray, period_deg: float = 360.0) -> float:
+    """Return how much of a period angles (n,) cover: all of it but the widest gap between them."""
+    around = np.sort(np.mod(angles_deg, period_deg))
+    return period_deg - float(np.diff(around, append=around[0] + period_deg).max())
+
+
+def goes_round(r: Responses) -> bool:
+    """Return whether the poses cover a turn, so that its orders mean something."""
+    return r.arc_deg >= LEAST_TURN_DEG and covered(r.theta_deg) >= LEAST_SHOWN_DEG
+
+
 def less_line(r: Responses, columns: FloatArray) -> FloatArray:
     """Return columns (n, p), or one of (n,), less what bias and scale have of them."""
     line = np.column_stack([np.ones(len(r)), r.theta_deg])
@@ -86,8 +97,18 @@ def where_axes_show(r: Responses) -> Iterator[Parameters]:
 
     Of less than a turn without one, it is a curve of the angle like any other.
     """
-    if {ANGLE, NORM}.intersection(r.channels) or r.arc_deg >= LEAST_TURN_DEG:
+    if {ANGLE, NORM}.intersection(r.channels) or goes_round(r):
         yield {}
+
+
+def said_of_two_signals(r: Responses, _shape: Shape) -> list[str]:
+    """Of an effect in mg where no accelerometer was read: evidence that says what it is a share of."""
+    if {ANGLE, NORM}.intersection(r.channels):
+        return []
+    return [
+        "the angle is taken for that of two signals, the sine y and the cosine z: 1 mg is a thousandth of "
+        "their amplitude"
+    ]
 
 
 def sin_cos(r: Responses) -> tuple[FloatArray, FloatArray]:

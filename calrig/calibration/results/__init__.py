@@ -37,9 +37,4 @@ from calrig.calibration.results.result import (
     apply_calibration,
     build_result,
 )
-from calrig.calibration.results.verification import (
-    Promise,
-    basis_of_poses,
-    of_line_alone,
-    verify,
-)
+from calrig.calibration.results.verification import Promise, basis_of_poses, of_line_alone, verify

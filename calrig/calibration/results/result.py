@@ -22,7 +22,7 @@ from calrig.calibration.results.pose_errors import (
     without_effects_deg,
 )
 from calrig.calibration.uncertainty.budget import over_range, reference_figures
-from calrig.calibration.uncertainty.sequential_stopping import AS_PLANNED, Ending, cautious
+from calrig.calibration.uncertainty.sequential_stopping import AS_PLANNED, Ending, cautious, widened
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.model.result import Extremes, Gyro, Reference, ReferenceFigures, Result
 
@@ -214,15 +214,7 @@ def _with_fewer_degrees(line: Line, n_poses: int, fitted: int) -> Line:
     if fitted <= 0 or line.covariance is None or line.residual_std_deg is None:
         return line
     more = math.sqrt((n_poses - 2) / (n_poses - 2 - fitted))
-    (bias, shared), (_, scale) = line.covariance
-    return replace(
-        line,
-        bias_std_deg=more * math.sqrt(bias),
-        scale_std=more * math.sqrt(scale),
-        covariance=((more**2 * bias, more**2 * shared), (more**2 * shared, more**2 * scale)),
-        residual_std_deg=more * line.residual_std_deg,
-        effect_parameters=fitted,
-    )
+    return replace(widened(line, more), effect_parameters=fitted)
 
 
 def _doubted(line: Line, poses: Sequence[Pose], effects: Sequence[AppliedEffect], doubt: EffectDoubt) -> Line:

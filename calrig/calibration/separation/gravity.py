@@ -366,14 +366,11 @@ def _refuse_what_determines_nothing(poses: StaticPoses) -> None:
         )
     blind = undetermined_base(poses)
     if blind:
+        ways = ", ".join(f"{axis} up and {axis} down" for axis in sorted({name[-1] for name in blind}))
         raise GravityError(
             f"the {n} static poses do not determine {', '.join(blind)}: lay the sensor down with "
-            f"{_both_ways({name[-1] for name in blind})} as well"
+            f"{ways} as well"
         )
-
-
-def _both_ways(axes: set[str]) -> str:
-    return ", ".join(f"{axis} up and {axis} down" for axis in sorted(axes))
 
 
 def _undetermined(problem: Problem, base: GravityFit) -> list[str]:

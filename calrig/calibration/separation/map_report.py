@@ -7,7 +7,6 @@ distinguish it from noise (pure error: Draper & Smith, Applied Regression Analys
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,8 +150,8 @@ def mapped(solution: Solution) -> Mapped:
         coefficients=series,
         covariance=whole,
         harmonics=tuple(
-            _harmonic(order, coefficients[pair], covariance[pair, pair], noise_deg)
-            for order, pair in _pairs(problem.orders)
+            _harmonic(order, coefficients[k : k + 2], covariance[k : k + 2, k : k + 2], noise_deg)
+            for k, order in zip(range(0, 2 * len(problem.orders), 2), problem.orders, strict=True)
         ),
         backlash=play if problem.free[-1] else None,
         mounts_deg=wrap_deg(np.degrees(mounts @ fit.parameters)),
@@ -176,11 +175,6 @@ def _with_gear(
     wider[np.ix_(own, own)] = covariance
     wider[n, n] = wider[n + 1, n + 1] = 0.5 * gear.amplitude_deg**2
     return (*orders, float(round(TURN_DEG / gear.period_deg))), longer, wider
-
-
-def _pairs(orders: Sequence[float]) -> Iterator[tuple[float, slice]]:
-    """Each order with the places of its cosine and sine."""
-    return ((order, slice(2 * k, 2 * k + 2)) for k, order in enumerate(orders))
 
 
 def _harmonic(order: float, pair: FloatArray, covariance: FloatArray, noise_deg: float) -> Harmonic:

@@ -92,7 +92,8 @@ def checked(now: Sequence[Pose], before: Sequence[Pose], stage_map: StageMap) ->
     if len(shared) < FEWEST_PLACES or freedom < FEWEST_REPEATS:
         return None
     dial = PLACE_DEG * np.array([place for place, _ in shared], dtype=np.float64)
-    slope, of_slope = _slope(before, stage_map, dial, _pooled(runs, freedom))
+    noise_deg2 = sum(_means(run, 0.0).squares for run in runs) / freedom  # within the places, uncorrelated
+    slope, of_slope = _slope(before, stage_map, dial, noise_deg2)
     design = np.column_stack([1.0 + slope, dial])
     free = len(shared) - design.shape[1]
     weights, p_values, fits = [], [], []
@@ -196,11 +197,6 @@ def _seen_from_deg(
         gains = [_without(design, wave, covariance)[1] for wave in (np.cos(turn), np.sin(turn))]
         sizes.append(float(np.sqrt(needed / max(sum(gains), np.finfo(np.float64).tiny))))
     return tuple(sizes)
-
-
-def _pooled(runs: Sequence[_Run], freedom: int) -> float:
-    """Variance within the places, as of uncorrelated noise."""
-    return sum(_means(run, 0.0).squares for run in runs) / freedom
 
 
 def _slope(

@@ -77,13 +77,9 @@ def resolved_orders(dial_deg: FloatArray) -> list[float]:
 def highest_identifiable_order(dial_deg: FloatArray) -> float:
     """The highest order that such poses can tell by itself: half the density of the angles."""
     arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
-    spacing_deg = max(arc_deg, SAME_DIAL_DEG) / max(len(_apart(dial_deg)) - 1, 1)
+    apart = np.unique(np.round(np.mod(dial_deg, TURN_DEG) / SAME_DIAL_DEG))
+    spacing_deg = max(arc_deg, SAME_DIAL_DEG) / max(len(apart) - 1, 1)
     return (TURN_DEG / spacing_deg - 1.0) / 2.0
-
-
-def _apart(dial_deg: FloatArray) -> FloatArray:
-    """The angles that are not the same, in steps of what is."""
-    return np.unique(np.round(np.mod(dial_deg, TURN_DEG) / SAME_DIAL_DEG))
 
 
 def dial_grid_deg(dial_deg: FloatArray) -> FloatArray:

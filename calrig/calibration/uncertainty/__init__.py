@@ -30,9 +30,4 @@ from calrig.calibration.uncertainty.sequential_stopping import (
     has_the_line,
     turned_both_ways,
 )
-from calrig.calibration.uncertainty.verdict import (
-    IN_WORDS,
-    SAME_EFFECT,
-    make_verdict,
-    verdict_figures,
-)
+from calrig.calibration.uncertainty.verdict import IN_WORDS, SAME_EFFECT, make_verdict, verdict_figures

@@ -62,7 +62,13 @@ def cautious(line: Line, n_poses: int, noise_deg: float | None) -> Line:
     freedom = n_poses - 2 - line.effect_parameters
     own_deg = caution(n_poses) * line.residual_std_deg
     known = coverage_factor(1.0, math.inf, 0.0, "normal") / coverage_factor(1.0, freedom, 0.0, "normal")
-    more = max(own_deg, known * (noise_deg or 0.0)) / line.residual_std_deg
+    return widened(line, max(own_deg, known * (noise_deg or 0.0)) / line.residual_std_deg)
+
+
+def widened(line: Line, more: float) -> Line:
+    """The line with scatter and standard errors larger by a factor; as it is where they are not known."""
+    if line.covariance is None or line.residual_std_deg is None:
+        return line
     (bias, shared), (_, scale) = line.covariance
     return replace(
         line,

@@ -305,16 +305,13 @@ def _found(effect: Document) -> str:
     if effect["verdict"] == "unnamed":
         return "The diagnosis finds an effect that is not in its catalogue."
     rivals = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
-    names = [_words(name) for name in (effect["name"], *rivals)]
+    known = (effect["name"], *rivals)
+    names = [UNKNOWN_EFFECT if name == "unnamed" else name.replace("_", " ") for name in known]
     if effect["verdict"] == "named" and effect.get("changed"):
         return f"The diagnosis names {names[0]}{between_runs(effect)}."
     if effect["verdict"] == "named":
         return f"The diagnosis names {names[0]}, which has not been accepted."
     return f"The diagnosis cannot distinguish {' from '.join(names)}."
-
-
-def _words(name: str) -> str:
-    return UNKNOWN_EFFECT if name == "unnamed" else name.replace("_", " ")
 
 
 def not_repeated_better(diagnosis: Document) -> list[str]:

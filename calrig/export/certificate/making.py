@@ -305,7 +305,8 @@ def _dates(sources: Sources, released: Entry | None, issue: Issue | None) -> Dat
     run, months = sources.run, None if sources.item is None else sources.item.interval_agreed_months
     began, ended = run.started_at, run.finished_at
     if (solved := sources.revision.document["provenance"].get("solution")) is not None:
-        began, ended = (_moment(solved[key]) for key in ("began_at", "ended_at"))
+        times = (solved[key] for key in ("began_at", "ended_at"))
+        began, ended = (None if text is None else datetime.fromisoformat(text) for text in times)
     again = None if months is None or ended is None else months_after(ended.date(), months)
     if run.plan is None:
         began = ended = None
@@ -318,10 +319,6 @@ def _dates(sources: Sources, released: Entry | None, issue: Issue | None) -> Dat
         issued=sources.revision.issued_at if issue is None else issue.at,
         calibrate_again=again,
     )
-
-
-def _moment(text: str | None) -> datetime | None:
-    return None if text is None else datetime.fromisoformat(text)
 
 
 def months_after(day: date, months: int) -> date:

@@ -15,12 +15,7 @@ import numpy as np
 from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.autopilot import RAW_G
 from calrig.export.formats import CalibrationExporter
-from calrig.export.triads import (
-    comments,
-    origin_of,
-    require_whole,
-    vector,
-)
+from calrig.export.triads import comments, origin_of, require_whole, vector
 
 
 def imu_tk(document: Mapping[str, Any]) -> str:

@@ -17,13 +17,7 @@ import numpy.typing as npt
 from calrig.estimation.angles import STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.autopilot import RAW_DPS, RAW_G
 from calrig.export.formats import CalibrationExporter
-from calrig.export.triads import (
-    NotHeldError,
-    gyro_of,
-    origin_of,
-    require_whole,
-    vector,
-)
+from calrig.export.triads import NotHeldError, gyro_of, origin_of, require_whole, vector
 
 FORMAT_VERSION = "2.0.0"
 

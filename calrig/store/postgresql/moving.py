@@ -87,9 +87,12 @@ class PostgresqlEnd:
             if isinstance(column.type, CheckedJson):
                 wrong, why = _first(values, _has_no_number), "NaN or an infinity, which is no JSON"
             elif isinstance(column.type, Integer) and not isinstance(column.type, BigInteger):
-                wrong, why = _first(values, _is_too_large), f"a number beyond ±{LARGEST}"
+                wrong, why = (
+                    _first(values, lambda n: not -LARGEST <= n <= LARGEST),
+                    f"a number beyond ±{LARGEST}",
+                )
             elif isinstance(column.type, TEXTS):
-                wrong, why = _first(values, _has_a_nul), "text with a NUL character in it"
+                wrong, why = _first(values, lambda value: "\0" in value), "text with a NUL character in it"
             else:
                 continue
             if wrong is not None:
@@ -101,14 +104,6 @@ class PostgresqlEnd:
 
 def _first(values: Sequence[Any], is_wrong: Any) -> int | None:
     return next((k for k, value in enumerate(values) if value is not None and is_wrong(value)), None)
-
-
-def _has_a_nul(value: str) -> bool:
-    return "\0" in value
-
-
-def _is_too_large(value: int) -> bool:
-    return not -LARGEST <= value <= LARGEST
 
 
 def _has_no_number(value: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
+from collections.abc import Iterator
 from pathlib import Path
 
 from calrig.store.database import BUSY_TIMEOUT_S, migrate, revisions
@@ -24,16 +25,26 @@ def copy_database(database: Path, target: Path) -> None:
         StoreError: `target` exists or cannot be written, or `database` cannot be read or is damaged; nothing
             is left behind.
     """
-    unfinished = _unfinished(target)
-    if os.path.lexists(target):
-        raise StoreError(f"{target}: exists and is not overwritten: name another file")
-    try:
-        unfinished.unlink(missing_ok=True)  # of a copy that was killed
-        file_system.make_private(unfinished)
+    _refuse_to_overwrite(target)
+    with _unfinished(target) as unfinished:
         _copy(database, unfinished, target)
         _sync(unfinished)
-        if os.path.lexists(target):
-            raise StoreError(f"{target}: exists and is not overwritten: name another file")
+        _refuse_to_overwrite(target)
+
+
+def _refuse_to_overwrite(target: Path) -> None:
+    if os.path.lexists(target):
+        raise StoreError(f"{target}: exists and is not overwritten: name another file")
+
+
+@contextlib.contextmanager
+def _unfinished(target: Path) -> Iterator[Path]:
+    """Yield a private file that takes the target's place when the block ends well, and is gone otherwise."""
+    unfinished = target.with_name(f"{target.name}.unfinished")
+    try:
+        unfinished.unlink(missing_ok=True)  # of a program that was killed
+        file_system.make_private(unfinished)
+        yield unfinished
         unfinished.replace(target)
         _sync(target.parent)
     except OSError as error:
@@ -41,10 +52,6 @@ def copy_database(database: Path, target: Path) -> None:
     finally:
         with contextlib.suppress(OSError):  # the first error is the one to tell
             unfinished.unlink(missing_ok=True)
-
-
-def _unfinished(target: Path) -> Path:
-    return target.with_name(f"{target.name}.unfinished")
 
 
 def _copy(database: Path, unfinished: Path, target: Path) -> None:
@@ -154,18 +161,8 @@ def make_new(database: Path) -> None:
     Raises:
         StoreError: it cannot be made; nothing is left behind.
     """
-    unfinished = _unfinished(database)
-    try:
-        unfinished.unlink(missing_ok=True)  # of a start that was killed
-        file_system.make_private(unfinished)
+    with _unfinished(database) as unfinished:
         upgrade(unfinished, None)
-        unfinished.replace(database)
-        _sync(database.parent)
-    except OSError as error:
-        raise store_error(error, database) from error
-    finally:
-        with contextlib.suppress(OSError):  # the first error is the one to tell
-            unfinished.unlink(missing_ok=True)
 
 
 def upgrade(database: Path, stored: str | None) -> None:
