@@ -305,7 +305,7 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
         )
 
 
-MOST_LAGGING = 0.2
+LEAST_FOLLOWED = 0.2
 """Of a step, what readings that follow change by at least."""
 STAYS, FEWEST_STEPS, HALF_WAY, ARRIVED = 3, 3, 0.5, 0.9
 """Rows before and after a step at unchanged elevation; steps that tell; of the way of the reading between
@@ -324,7 +324,7 @@ def refuse_what_is_on_its_way(theta: FloatArray, reading: FloatArray) -> None:
         if min(ends[k] - begins[k], ends[k - 1] - begins[k - 1]) < STAYS - 1:
             continue
         moved = reading[begins[k] : ends[k] + 1] - reading[ends[k - 1]]
-        if abs(moved[-1]) < MOST_LAGGING * abs(theta[begins[k]] - theta[ends[k - 1]]):
+        if abs(moved[-1]) < LEAST_FOLLOWED * abs(theta[begins[k]] - theta[ends[k - 1]]):
             continue  # it does not follow, or wraps
         way = moved / moved[-1]
         whole.append(way[0])

@@ -370,7 +370,7 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
     print_warnings(found.warnings)
     if found.follow_up is not None:
         sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
-        names = " from ".join(EFFECTS[name].title for name in found.follow_up.separates)
+        names = " and ".join(EFFECTS[name].title for name in found.follow_up.separates)
         how = "its plan is in --json" if of_files else f"POST /api/runs/{found.runs[-1]}/follow-up"
         print_line(f"a follow-up run would separate {names} by {sigmas}: {how}")
 

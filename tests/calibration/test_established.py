@@ -14,7 +14,7 @@ from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of
 from calrig.calibration.diagnosis.established import established
 from calrig.calibration.diagnosis.held_out import CrossValidation, without_harm
 from calrig.calibration.diagnosis.ranking import SelectedEffect
-from calrig.calibration.diagnosis.report import covariance_of, effect_documents
+from calrig.calibration.diagnosis.report import covariance_of, effect_documents, model_words
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.effects import effect_of
@@ -126,7 +126,9 @@ def test_a_curve_that_a_kink_undoes_in_part_corrects_nothing_alone() -> None:
     r = run_of(bent_deg, DiagnosisRequest(reference="good"))
     curve = selected(r, "unnamed", "smooth 5")
     assert [e["corrects"] for e in effect_documents(r, findings_of(r, [curve]))] == ["unit"]
-    documents = effect_documents(r, findings_of(r, [curve, selected(r, "unnamed", "kink")]))
+    findings = findings_of(r, [curve, selected(r, "unnamed", "kink")])
+    assert model_words(findings) == "reading = bias + scale·θ + 2 f(target_deg)"
+    documents = effect_documents(r, findings)
     assert [e["corrects"] for e in documents] == [None, None]
     less_line_deg = bent_deg - np.polyval(np.polyfit(THETA_DEG, bent_deg, 1), THETA_DEG)
     (said,) = {line for e in documents for line in e["evidence"] if line.startswith("together with")}

@@ -147,7 +147,7 @@ def design(
         has_unit = ANGLE in r.channels and not r.reference_is_good  # an encoder has no face to be turned on
         if by_hand is TURN_THE_UNIT and not has_unit:
             by_hand = OTHER_PLACES
-        suspected = " from ".join(dict.fromkeys(one.words_in(r) for one in trial.separable()))
+        suspected = " and ".join(dict.fromkeys(one.words_in(r) for one in trial.separable()))
         return (
             f"a further run of {MOST_POSES} poses cannot separate {suspected}: expected −2 log likelihood "
             f"between them {separation:.1f}, required {LEAST_SEPARATION:g}; {by_hand}"

@@ -20,6 +20,7 @@ compensate can have a negative one.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -171,12 +172,13 @@ def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool 
 
 
 def model_words(findings: Findings) -> str:
-    """Return the final model, such as `reading = bias + scale·θ + backlash`."""
-    names = [
+    """Return the final model, such as `reading = bias + scale·θ + backlash + 3 stage_periodic`."""
+    names = Counter(
         f.candidate.label.replace("unnamed ", "f(") + ("" if f.candidate.named else ")")
         for f in findings.found
-    ]
-    return " + ".join(["reading = bias + scale·θ", *names])
+    )
+    several = [name if count == 1 else f"{count} {name}" for name, count in names.items()]
+    return " + ".join(["reading = bias + scale·θ", *several])
 
 
 def _whole_form(r: Responses, candidate: Candidate) -> Candidate:
