@@ -377,7 +377,7 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
 
 def _of_base(base: BaseErrors) -> Iterator[str]:
     """Bias and scale, in which degrees RMS and sizes are, and why there is no error before."""
-    bias = angle_text(base.bias_deg)
+    bias = angle_text(base.bias_deg, 5)
     scale = "not known" if base.scale is None else f"{base.scale:z.5f}".replace("-", "−")
     yield f"before: bias {bias}, scale {scale}; RMS in degrees of elevation, sizes in degrees of the reading"
     if base.fit_rms_deg is None:

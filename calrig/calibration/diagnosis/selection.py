@@ -48,7 +48,7 @@ from calrig.calibration.diagnosis.significance_test import (
     gate,
     model_of,
 )
-from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, TIMES
+from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, TIMES, UNSTEADY
 from calrig.calibration.regression.effect import APPROACH, ELEVATION
 from calrig.calibration.regression.noise_model import STRONG_RHO, Fit, NoiseModel, distance_of, fit, noise_of
 from calrig.calibration.regression.responses import Responses
@@ -209,7 +209,10 @@ def with_free_curve(r: Responses) -> Responses | None:
 def is_of_the_curve(candidate: Candidate) -> bool:
     """Return whether a candidate depends on elevation and approach alone."""
     of_curve = {ELEVATION.name, APPROACH.name}
-    return all(of_curve.issuperset(member.covariate.split(TIMES)) for member in candidate.members)
+    return all(
+        of_curve.issuperset(member.covariate.split(TIMES)) and member.shape.form != UNSTEADY
+        for member in candidate.members
+    )
 
 
 def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
