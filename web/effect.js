@@ -122,6 +122,7 @@ function considered(effect) {
  */
 function acceptance(effect, title, path, run) {
   const ofRig = scopeOf(effect) === "rig";
+  if (ofRig && !run.rig) return h("p", { class: "muted" }, "An error of the rig: import the poses on a rig to store it.");
   const stored = ofRig
     ? `Stored as an error of rig ${run.rig}; not exported with the unit.`
     : `Stored with the calibration of unit ${run.unit}; exported with it.`;

@@ -103,18 +103,21 @@ function stepOf(run) {
   const isOpen = diagnosis ? isOutdated(run) : !isClean && !isInDoubt;
   if (isOpen && may("operator")) return "diagnose";
   if (plan?.kind === "verification") return "unit";
-  return diagnosis?.effects.some(isOffered) && may("releaser") ? "accept" : "use";
+  return diagnosis && offeredOf(run).length && may("releaser") ? "accept" : "use";
 }
 
-/** Whether an effect can be accepted and has not been; older diagnoses do not state whose correction it is. */
-function isOffered({ verdict, corrects, changed, accepted_at: acceptedAt }) {
-  return verdict === "named" && isKnown(corrects) && !changed && !isKnown(acceptedAt);
+/** The effects that can be accepted and have not been; older diagnoses do not state whose correction each is. */
+function offeredOf({ rig, diagnosis }) {
+  const hasOwner = ({ corrects }) => isKnown(corrects) && (corrects !== "rig" || isKnown(rig));
+  return diagnosis.effects.filter(
+    (effect) => effect.verdict === "named" && hasOwner(effect) && !effect.changed && !isKnown(effect.accepted_at),
+  );
 }
 
 async function toAccept(run, next) {
   const { effectTitle, knowEffects } = await import("./effects.js");
   await knowEffects();
-  const offered = run.diagnosis.effects.filter(isOffered);
+  const offered = offeredOf(run);
   const listed = (scope) => [...new Set(offered.filter(({ corrects }) => corrects === scope).map(effectTitle))];
   const [ofUnit, ofRig] = [listed("unit"), listed("rig")];
   const sentences = [

@@ -310,6 +310,16 @@ def test_without_a_rig_the_reason_why_nothing_can_be_separated_is_shown(page, cl
     assert len(client.get("/api/runs?unit=NO-RIG").json()["items"]) == 1
 
 
+def test_an_error_of_a_stage_whose_rig_is_not_known_is_not_offered_for_acceptance(page, client, go, expect):
+    run = imported(client, poses_with_backlash(), "STRAY")
+    go(f"#/runs/{run['id']}")
+    page.click("#diagnose")
+    unfold_effect(page, "backlash")
+    expect(page.locator("[data-effect=backlash]")).to_contain_text("import the poses on a rig")
+    expect(page.locator("#accept-backlash, #accept-all")).to_have_count(0)
+    expect(page.locator("main")).not_to_contain_text("rig null")
+
+
 def test_an_effect_that_cannot_correct_later_runs_is_refused_saying_why(page, client, go, expect, forgiven):
     forgiven.append(REFUSED)
     run = imported(client, unsettled_poses(), "UNSETTLED")
