@@ -24,7 +24,7 @@ from calrig.export.csv_errors import CsvError, CsvReport
 from calrig.export.csv_table import Cells, Layout, Table, layout_of, read_rows
 
 PIECE_BYTES = 2_000_000
-"""More than the rows that tell how cells are written (`csv_table.EXAMINED_BYTES`)."""
+"""More than the rows that tell how cells are written (`csv_dialect.EXAMINED_BYTES`)."""
 LONGEST_BYTES = 8_000_000
 """Of a piece without the end of a row in it."""
 

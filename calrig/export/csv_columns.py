@@ -15,6 +15,7 @@ from calrig.export.csv_errors import CsvError, shortened
 from calrig.export.csv_units import Unit, conversion, stem_and_unit, unit_of_text
 
 MOST_NAMED = 30
+MAX_COLUMNS = 200
 MAX_NAME_CHARACTERS = 100
 DID_YOU_MEAN = "did you mean"
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 from calrig.export.csv_columns import (
     CLOCK_NAMES,
+    MAX_COLUMNS,
     MAX_NAME_CHARACTERS,
     NUMBER,
     Column,
@@ -27,72 +28,20 @@ from calrig.export.csv_columns import (
     columns_of,
     header_notes,
     missing_columns,
-    names_a_known,
     own_decimal,
     refuse_bad_names,
 )
+from calrig.export.csv_dialect import (
+    COMMAS,
+    EXAMINED_BYTES,
+    SEPARATORS,
+    Dialect,
+    dialect_of,
+    has_known,
+    stated_separator,
+)
 from calrig.export.csv_errors import CsvError, CsvReport, shortened
 from calrig.export.csv_units import unit_of_text
-
-SEPARATORS = (",", ";", "\t")
-EXAMINED_BYTES = 1_000_000
-"""Rows from which the decimal sign is detected: a different one further on is reported as a bad cell."""
-_STATED_SEPARATOR = re.compile(rb'"?sep=([^"])"?', re.IGNORECASE)
-"""The line that a spreadsheet writes before the header."""
-_QUOTED = re.compile(r'"[^"]*"')
-_COMMENTS = re.compile(rb"^ *#[^\r\n]*", re.MULTILINE)
-
-
-@dataclass(frozen=True, slots=True)
-class Dialect:
-    """The sign between cells, and that in a decimal number."""
-
-    separator: str = ","
-    decimal: str = "."
-
-
-COMMAS = Dialect()
-
-
-def _dialect_of(
-    header: str, rows: bytes, is_known: Callable[[str], bool], separators: Sequence[str] = SEPARATORS
-) -> Dialect:
-    """Return the dialect that the header row and the rows under it are in.
-
-    The separator is the one that makes the most known names of the header, a comma where several do. Where
-    cells are not separated by commas, decimals are written as in most cells that have any, with a point where
-    as many have commas.
-
-    Args:
-        header: the line of names.
-        rows: what follows it.
-        is_known: whether a column has a meaning here.
-        separators: to choose from.
-    """
-    separator = max(separators, key=lambda sign: _known(header, sign, is_known))
-    if separator == ",":
-        return COMMAS
-    examined = _COMMENTS.sub(b"", rows[:EXAMINED_BYTES])
-    comma = _n_decimals(examined, separator, ",") > _n_decimals(examined, separator, ".")
-    return Dialect(separator, "," if comma else ".")
-
-
-def _known(header: str, separator: str, is_known: Callable[[str], bool]) -> tuple[int, int]:
-    """How many names a separator makes that are known, and how many at all."""
-    bare = _QUOTED.sub(lambda quoted: quoted[0].replace(separator, " "), header)
-    names = [name.strip().strip('"') for name in bare.split(separator)]
-    n_known = sum(map(is_known, names[:MAX_COLUMNS]))
-    return n_known, 0 if n_known else len(names)
-
-
-def _n_decimals(rows: bytes, separator: str, decimal: str) -> int:
-    ends = rb'\r\n"' + separator.encode()
-    number = rb" *[+-]?[0-9]*" + re.escape(decimal.encode()) + rb"[0-9]+(?:[eE][+-]?[0-9]+)?"
-    unit = rb" *[^0-9.," + ends + rb"]{0,12}"
-    return len(
-        re.findall(rb"(?:(?<=[" + ends + rb"])|\A)" + number + unit + rb"(?=[" + ends + rb"]|\Z)", rows)
-    )
-
 
 LARGEST = 1e30
 """No quantity a rig knows is larger; sums of squares of what is smaller stay finite."""
@@ -220,7 +169,6 @@ class Cells:
 
 
 MAX_BYTES = 150_000_000
-MAX_COLUMNS = 200
 _NAME_ENDS = re.compile(rb"[,;\t]")
 MAX_ROWS = 100_000
 MAX_CELLS = 2_000_000
@@ -343,24 +291,22 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     """
     report = CsvReport()
     row = _next_row(data, len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0, 1)
-    separators: Sequence[str] = SEPARATORS
-    if stated := _STATED_SEPARATOR.fullmatch(row.text):
-        separators = (_separator_of(stated[1], row.line),)
+    separators = SEPARATORS
+    if stated := stated_separator(row.text, row.line):
+        separators = (stated,)
         report.say(f"line {row.line} is read as the separator of the cells")
         row = _next_row(data, row.end, row.line + 1)
     header = row
-    if row.comments and not _has_known(row.text, known):
+    if row.comments and not has_known(row.text, known):
         bare = row.comments[-1]._replace(text=row.comments[-1].text.lstrip(b" #"))
-        if _has_known(bare.text, known):
+        if has_known(bare.text, known):
             header = bare
             report.say(f"the names of the columns are read from the comment in line {header.line}")
     if not header.text:
         raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
     rows = data[header.end : header.end + EXAMINED_BYTES]
     _refuse_long_names(header)
-    dialect = _dialect_of(
-        header.text.decode(errors="replace"), rows, lambda name: names_a_known(name, known), separators
-    )
+    dialect = dialect_of(header.text, rows, known, separators)
     texts = [from_spreadsheet(name.strip()) for name in _cells(header, dialect)]
     if len(texts) > MAX_COLUMNS:
         what = f"the header has {len(texts)} columns; at most {MAX_COLUMNS} are read"
@@ -383,14 +329,6 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     for note in header_notes(columns, known):
         report.say(note)
     return Layout(columns, header.line, begin, first_line, dialect, units, report)
-
-
-def _separator_of(sign: bytes, line: int) -> str:
-    separator = sign.decode(errors="replace")
-    if separator not in SEPARATORS:
-        what = f"says that {separator!r} separates the cells: save the file with commas, semicolons or tabs"
-        raise CsvError(what, line=line)
-    return separator
 
 
 def _refuse_long_names(header: _Row) -> None:
@@ -443,12 +381,6 @@ def _cells(row: _Row, dialect: Dialect) -> list[str]:
 def _not_utf8(error: UnicodeDecodeError, line: int) -> CsvError:
     byte = error.object[error.start]
     return CsvError(f"is not UTF-8 text (byte 0x{byte:02X}): save the file as UTF-8", line=line)
-
-
-def _has_known(names: bytes, known: Collection[str]) -> bool:
-    """Whether a line has a known name, whatever separates its cells."""
-    text = names.decode(errors="replace")
-    return any(_known(text, sign, lambda name: names_a_known(name, known))[0] for sign in SEPARATORS)
 
 
 def _is_of_units(row: _Row, dialect: Dialect, width: int) -> bool:
