@@ -84,26 +84,23 @@ def cross_validate(
         progress: is called with the share of folds done before each.
     """
     fold = folds_of(r)
-    base = np.zeros(len(r))
-    final = np.zeros(len(r))
+    base = _errors(r, (), BETWEEN)
+    final = base.copy()
     folds = int(fold.max()) + 1
     for k in range(folds):
         progress(k / folds)
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen = r.rows(train)
-        base[test] = errors_deg(r, (), _line(seen), test)
         of_fold = [c.rows(train) for c in candidates]
         findings = search(
             seen, of_fold, rng, bootstraps=BOOTSTRAPS, decide_only=True, rivals=rivals, noises=noises
         )
         findings = established(findings, draws=False)
         if not findings.found:
-            final[test] = base[test]
             continue
         # a fold's model in all poses; a refined period exists in the fold's alone
         whole = [_in_all_poses(f.candidate, r, candidates) for f in findings.found]
         if None in whole:
-            final[test] = base[test]
             continue
         model = fitted_model(findings.responses, [f.candidate for f in findings.found])
         shown = linear_about(r, [c for c in whole if c is not None], model)

@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 
+from calrig.calibration.regression.terms import covered
 from calrig.calibration.separation.accelerometer import IN_PLANE, SKEW
 from calrig.calibration.separation.least_squares import Fit
 from calrig.calibration.separation.normal_equations import whitened
@@ -27,7 +28,6 @@ from calrig.calibration.separation.stage_map import (
     HIGHEST_ORDER,
     TURN_DEG,
     highest_identifiable_order,
-    widest_gap_deg,
 )
 from calrig.estimation.angles import FloatArray
 
@@ -152,7 +152,7 @@ def unstated_gear(fit: Fit) -> Gear | None:
 
     table, rows = fit.problem.table, np.flatnonzero(fit.kept)
     dial_deg = table.dial_deg[rows]
-    arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
+    arc_deg = covered(dial_deg)
     if arc_deg == 0.0:
         return None
     step = TURN_DEG / arc_deg / STEPS_A_WAVE

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calrig.calibration.regression.terms import covered
 from calrig.calibration.separation.gyro import WholeGyro
 from calrig.calibration.separation.lack_of_fit import misfits
 from calrig.calibration.separation.least_squares import Fit, fitted
@@ -20,7 +21,6 @@ from calrig.calibration.separation.stage_map import (
     TURN_DEG,
     WIDEST_GAP_DEG,
     goes_round,
-    widest_gap_deg,
 )
 from calrig.calibration.separation.unit_results import (
     Frame,
@@ -307,7 +307,7 @@ def _of_dial(solution: Solution) -> list[str]:
     dial = solution.table.dial_deg[solution.fit.kept]
     if goes_round(dial):
         return []
-    arc = TURN_DEG - widest_gap_deg(dial)
+    arc = covered(dial)
     return [
         f"the poses stand on {arc:.0f}° of the dial: the map is known there and nowhere else, and its "
         "orders are a way to write it down, not the axis' own"

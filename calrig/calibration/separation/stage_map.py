@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.poses import Pose
+from calrig.calibration.regression.terms import covered
 from calrig.calibration.uncertainty.conformity import deg
 from calrig.canonical_json import sha256_of
 from calrig.estimation.angles import FloatArray
@@ -59,13 +60,7 @@ def basis(dial_deg: FloatArray, approach: FloatArray, orders: Sequence[float]) -
 
 def goes_round(dial_deg: FloatArray) -> bool:
     """Whether the angles leave no wide gap on the dial."""
-    return widest_gap_deg(dial_deg) <= TURN_DEG - ROUND_DEG
-
-
-def widest_gap_deg(dial_deg: FloatArray) -> float:
-    """Of the dial, what no pose stands in."""
-    at = np.sort(np.mod(dial_deg, TURN_DEG))
-    return float(np.diff(at, append=at[0] + TURN_DEG).max())
+    return covered(dial_deg) >= ROUND_DEG
 
 
 def resolved_orders(dial_deg: FloatArray) -> list[float]:
@@ -76,7 +71,7 @@ def resolved_orders(dial_deg: FloatArray) -> list[float]:
 
 def highest_identifiable_order(dial_deg: FloatArray) -> float:
     """The highest order that such poses can tell by itself: half the density of the angles."""
-    arc_deg = TURN_DEG - widest_gap_deg(dial_deg)
+    arc_deg = covered(dial_deg)
     apart = np.unique(np.round(np.mod(dial_deg, TURN_DEG) / SAME_DIAL_DEG))
     spacing_deg = max(arc_deg, SAME_DIAL_DEG) / max(len(apart) - 1, 1)
     return (TURN_DEG / spacing_deg - 1.0) / 2.0
@@ -91,7 +86,7 @@ def dial_grid_deg(dial_deg: FloatArray) -> FloatArray:
         at = np.sort(np.mod(dial_deg, TURN_DEG))
         first = int(np.diff(at, append=at[0] + TURN_DEG).argmax()) + 1
         low = at[first % len(at)]
-        high = low + TURN_DEG - widest_gap_deg(dial_deg)
+        high = low + covered(dial_deg)
     return np.linspace(low, high, max(round((high - low) / GRID_DEG), 1) + 1)
 
 
