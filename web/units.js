@@ -29,6 +29,7 @@ export async function unitView({ root, parts: [serial], signal }) {
   const [unit, rigs] = await Promise.all([get(path, signal), get("/api/rigs", signal)]);
   const solvable = unit.runs.find((run) => run.result);
   const calibrations = new Calibrations(serial, signal);
+  const calibrationsShown = calibrations.read();
   const chart = new Chart("history", "Bias, scale and RMS error over time, plain fit", { tall: true, signal, empty: NONE_VALID });
   const rows = unit.runs.map((run) => runRow(run, { withUnit: false }));
   fill(
@@ -38,7 +39,7 @@ export async function unitView({ root, parts: [serial], signal }) {
     unit.n_runs === 0 && may("releaser") && removal(serial, path, calibrations),
     unit.revision_in_force !== null && rigs.length > 0 && may("operator") && verifying(unit, rigs),
     calibrations.elements,
-    unitHistory(serial, signal),
+    unitHistory(serial, signal, calibrationsShown),
     chart.element,
     card(
       "runs",
@@ -55,7 +56,7 @@ export async function unitView({ root, parts: [serial], signal }) {
       ),
     ),
   );
-  await Promise.all([calibrations.read(), chart.load(`${path}/figures/history`)]);
+  await Promise.all([calibrationsShown, chart.load(`${path}/figures/history`)]);
 }
 
 /** The button that verifies the revision in force with new poses, by default on the rig that it was calibrated on. */
@@ -93,8 +94,11 @@ function removal(serial, path, calibrations) {
 const LEAST_P = 0.0001;
 const SEARCH = { doing: "Diagnosing both runs together.", share: "the search" };
 
-/** A card that loads itself, and again after two runs have been diagnosed together. */
-function unitHistory(serial, signal) {
+/**
+ * A card that loads itself, and again after two runs have been diagnosed together. It is filled once what is `above` it
+ * is shown: else its buttons would move away from under the pointer.
+ */
+function unitHistory(serial, signal, above) {
   const path = `/api/units/${encodeURIComponent(serial)}`;
   const body = h("div");
   const error = errorLine("changes-error");
@@ -103,7 +107,7 @@ function unitHistory(serial, signal) {
   const element = card("changes", "Changes between runs", error.element, work.element, body);
 
   async function read() {
-    const [unit, changes] = await Promise.all([get(path, signal), get(`${path}/changes`, signal)]);
+    const [unit, changes] = await Promise.all([get(path, signal), get(`${path}/changes`, signal), above]);
     const rows = changes.toReversed().map((change) => row(change, diagnoseBoth));
     const drawn = changes.some((change) => isKnown(change.signal));
     fill(

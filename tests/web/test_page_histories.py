@@ -141,6 +141,23 @@ def test_both_runs_are_diagnosed_together_from_the_units_page(page, client, go, 
     assert {effect["name"], *effect["confusable_with"]} == {"bias_change", "mount_change"}
 
 
+def test_the_buttons_of_a_units_changes_are_there_once_they_stay_where_they_are(page, go, expect):
+    """A click was lost: the calibrations above came between its press and its release."""
+    held = []
+
+    def hold(route):
+        held.append(route)
+
+    page.route("**/api/units/MOVED/calibrations", hold)
+    with page.expect_response("**/api/units/MOVED/changes"):
+        go("#/units/MOVED")
+    wait_for(lambda: page.evaluate("null") or held, "request for the calibrations")
+    page.evaluate("new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
+    expect(page.get_by_role("button", name="Diagnose both")).to_have_count(0)
+    held[0].continue_()
+    expect(page.get_by_role("button", name="Diagnose both")).to_be_visible()
+
+
 def test_a_rig_whose_check_unit_fails_puts_runs_in_doubt(page, client, store, go, expect):
     go("#/")
     page.get_by_test_id("rigs").get_by_role("link", name="bench-1", exact=True).click()
