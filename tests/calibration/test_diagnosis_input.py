@@ -388,3 +388,13 @@ def test_a_measured_warm_up_before_and_after(warm_up: dict[str, Any]) -> None:
     assert warm_up["final"]["fit_rms_deg"] <= 0.0064
     # one fold in four cannot tell the second-order term from noise that wanders, and does without
     assert warm_up["final"]["held_out_rms_deg"] <= 0.009
+
+
+def test_rows_that_are_repeated_leave_no_freedom_for_a_curve():
+    """Five places, each twice over: what bends through all of them has been tested by none."""
+    there = np.repeat([0.0, 20.0, 45.0, 60.0, 90.0], 2)
+    bent = np.repeat([0.0, 1.3, -0.4, 0.9, 0.2], 2)
+    table = [
+        Pose(float(x), float(x + y), covariates={"load": float(y)}) for x, y in zip(there, bent, strict=True)
+    ]
+    assert diagnose([table], bootstraps=199).findings.found == ()

@@ -144,6 +144,19 @@ def test_a_table_of_even_readings_carries_no_period_near_their_step():
     assert min(periods_in(effects_in(poses))) > 2.0 * 1.8
 
 
+def test_orders_side_by_side_in_a_table_by_counts_are_each_found_and_no_alias_of_theirs():
+    """Of 64 counts a turn: what looks like 6½ cycles is orders 6 and 7, and 21 is not 64 − 21."""
+    rng = np.random.default_rng(16)
+    readings = 5.625 * np.arange(64)
+    sizes = {1: 0.3, 2: 0.3, 4: 0.15, 6: 0.1, 7: 0.1, 21: 0.08}
+    targets = readings.copy()
+    for _ in range(20):  # the elevations that are read so
+        waves = sum(size * np.sin(np.radians(k * targets + 50.0 * k)) for k, size in sizes.items())
+        targets = readings - waves
+    poses = posed(target_deg=targets + rng.normal(0.0, 0.01, 64), reading_deg=readings)
+    assert periods_in(effects_in(poses)) == {360.0 / order for order in sizes}
+
+
 @pytest.mark.parametrize(("arc_deg", "verdict"), [(140.0, "ambiguous"), (356.0, "named")])
 def test_a_period_of_the_turn_is_preferred_to_its_alias_at_even_steps(arc_deg, verdict):
     rng = np.random.default_rng(13)

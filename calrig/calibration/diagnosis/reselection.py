@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations, permutations
 
 import numpy as np
@@ -142,6 +143,8 @@ def is_on_trial(candidate: Candidate) -> bool:
 
 
 FREEDOM, ROUNDS = 3, 3
+KEPT = 8
+"""Sets of poses that a search asks for again."""
 MOST_WORSE = 2.0 * MARGIN
 """Of the criterion, by which another name for an effect may leave a model with a delay worse: a name within
 `MARGIN` of the best is claimed, and some more for the choice among forms."""
@@ -160,7 +163,7 @@ def offered(
     the reading hardly a degree of freedom.
     """
     taken = sum(name.startswith(READING) for name in r.base_names)
-    room = len(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
+    room = _distinct_poses(r) - taken - sum(c.columns.shape[2] for c in accepted) - FREEDOM
     present = {c.name for c in accepted}
     followed = {c.covariate for c in accepted}
     always = {c.name for c in accepted if c.changed is None}
@@ -182,6 +185,12 @@ def offered(
     every = [*candidates, *harmonics_of(r, accepted)]
     allowed = [c for c in every if c.label not in refused and wanted(c) and may_enter(c)]
     return [at_its_elevations(r, c) for c in allowed] if r.is_delayed else allowed
+
+
+@lru_cache(maxsize=KEPT)
+def _distinct_poses(r: Responses) -> int:
+    """Return how many poses are unlike all others: a row that is repeated leaves no freedom."""
+    return len(np.unique(np.column_stack([r.theta_deg, r.values]), axis=0))
 
 
 def _enters_once(c: Candidate) -> bool:
@@ -298,14 +307,18 @@ def with_known_places(
 ) -> list[SelectedEffect]:
     """Move scanned nonlinear parameters to the known values nearby, if the model improves.
 
-    Each was refined while other effects were missing, so all are tried at once, then one by one.
+    Each was refined while other effects were missing, so all are tried at once, then one by one. Between two
+    known values, such as orders 6 and 7 of one turn, one may stand for both.
     """
     known = [c for c in candidates if c.shape.series and not c.shape.scanned and c.beside is None]
-    moves = {k: place for k, f in enumerate(found) if (place := _beside(r, f.candidate, known)) is not None}
-    for some in (list(moves), *([k] for k in moves)) if moves else ():
+    beside = {k: near for k, f in enumerate(found) if (near := _beside(r, f.candidate, known))}
+    nearest = {f.candidate: near[:1] for k, f in enumerate(found) if (near := beside.get(k))}
+    both = {f.candidate: near for k, f in enumerate(found) if len(near := beside.get(k, [])) == 2}
+    for moves in (nearest, *({c: near} for those in (nearest, both) for c, near in those.items())):
         put = [
-            replace(f, candidate=moves[k]) if k in some and f.candidate is not moves[k] else f
-            for k, f in enumerate(found)
+            f if place is f.candidate else replace(f, candidate=place)
+            for f in found
+            for place in moves.get(f.candidate, [f.candidate])
         ]
         before, after = ([f.candidate for f in each] for each in (found, put))
         if penalised_criterion(r, after) < penalised_criterion(r, before):
@@ -313,13 +326,21 @@ def with_known_places(
     return found
 
 
-def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> Candidate | None:
-    """Return the nearest known value that these poses do not resolve from a candidate's; None without one."""
+def _beside(r: Responses, candidate: Candidate, known: Sequence[Candidate]) -> list[Candidate]:
+    """Return the nearest known value, which these poses do not resolve from a candidate's; none without one.
+
+    Then the nearest one on the other side.
+    """
     name = candidate.effect.place
     if not name or candidate.shape.series:
-        return None
-    alike = [c for c in known if c.label == candidate.label and not c.is_distinct(r, candidate)]
-    return min(alike, key=lambda c: abs(c.shape.at[name] - candidate.shape.at[name]), default=None)
+        return []
+    at = candidate.shape.at[name]
+    by_distance = sorted(
+        (c for c in known if c.label == candidate.label), key=lambda c: abs(c.shape.at[name] - at)
+    )
+    alike = [c for c in by_distance if not c.is_distinct(r, candidate)][:1]
+    beyond = [c for c in by_distance if alike and (c.shape.at[name] > at) != (alike[0].shape.at[name] > at)]
+    return [*alike, *(c for c in beyond[:1] if c.is_distinct(r, alike[0]))]
 
 
 SAME_THING = 1e3

@@ -463,7 +463,7 @@ def _search(
         if not steps:
             if rivals is not None or is_compared:
                 break
-            found, is_compared = _compared(r, candidates, found, len(known)), True
+            found, is_compared = _compared(r, candidates, found, len(known))
             continue
         is_compared = False
         fresh = steps[0] if rivals is not None and len(steps) == 1 else None
@@ -484,11 +484,16 @@ def _search(
 
 def _compared(
     r: Responses, candidates: Sequence[Candidate], found: list[SelectedEffect], known: int
-) -> list[SelectedEffect]:
-    """Return the effects, each compared thoroughly; as they were if those cannot be true together."""
+) -> tuple[list[SelectedEffect], bool]:
+    """Return the effects, each compared thoroughly; as they were if those cannot be true together.
+
+    And whether all stay where they were compared: none has moved to a known place since.
+    """
     again = reselected(r, candidates, found, known)
-    is_better = bool(again) and is_admissible(r, [f.candidate for f in again])
-    return eliminated(r, again, known)[0] if is_better else found
+    if again and is_admissible(r, [f.candidate for f in again]):
+        found = eliminated(r, again, known)[0]
+    placed = with_known_places(r, candidates, found)
+    return placed, placed is found
 
 
 def _entering(

@@ -202,7 +202,6 @@ DISTANCE = 30.0
 """In −2 log likelihood, between two names that a search tells from each other."""
 KEPT = 8
 """Models that a search may ask for again."""
-"""By which a parameter changes the reading (°) or |accelerometer| (g) to see what it does there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,15 +67,25 @@ def window_peaks(theta_deg: FloatArray, highest: float, least: float) -> tuple[F
 TURN_DEG = 360.0
 EVEN_POWER = 0.9
 """Of the spectral window: where spacing is as good as even."""
+GRID_SHARE = 0.3
+"""Of how uneven the elevations are, by which readings that are the grid are less so."""
 
 
 def spacing_deg(theta_deg: FloatArray) -> float | None:
     """Return the step of evenly spaced elevations; None where jitter or gaps tell aliases apart."""
-    return _spacing_deg(theta_deg.astype(np.float64).tobytes())
+    grid = _grid(theta_deg.astype(np.float64).tobytes())
+    return None if grid is None else grid.step_deg
+
+
+class _Grid(NamedTuple):
+    """A step in degrees, and the standard deviation of angles about its multiples."""
+
+    step_deg: float
+    uneven_deg: float
 
 
 @lru_cache(maxsize=8)
-def _spacing_deg(angles: bytes) -> float | None:
+def _grid(angles: bytes) -> _Grid | None:
     theta_deg = np.frombuffer(angles)
     arc, places = float(np.ptp(theta_deg)), len(np.unique(theta_deg))
     if places < 3:
@@ -83,12 +94,27 @@ def _spacing_deg(angles: bytes) -> float | None:
     if not len(even):
         return None
     step = steps_of(theta_deg, 1.0 / float(even[0]))
-    return float(np.polyfit(step, theta_deg, 1)[0])
+    line = np.polyfit(step, theta_deg, 1)
+    return _Grid(float(line[0]), float(np.std(theta_deg - np.polyval(line, step))))
 
 
 def step_deg(r: Responses) -> float | None:
     """Return the step of evenly spaced elevations, else that of evenly spaced readings; None without one."""
-    return spacing_deg(r.theta_deg) or spacing_deg(r.theta_deg + r.values[:, 0])
+    return spacing_deg(r.theta_deg) or spacing_deg(_reading_deg(r))
+
+
+def _reading_deg(r: Responses) -> FloatArray:
+    return np.asarray(r.theta_deg + r.values[:, 0])
+
+
+def _is_by_readings(r: Responses) -> bool:
+    """Return whether the readings are the grid, and the elevations uneven by what they err."""
+    of_readings, of_poses = (
+        _grid(angles.astype(np.float64).tobytes()) for angles in (_reading_deg(r), r.theta_deg)
+    )
+    if of_readings is None or of_poses is None:
+        return of_poses is None
+    return of_readings.uneven_deg < GRID_SHARE * of_poses.uneven_deg
 
 
 def steps_of(theta_deg: FloatArray, spacing_deg: float) -> FloatArray:
@@ -178,7 +204,7 @@ def _carried(r: Responses, shape: Shape) -> bool:
     step = step_deg(r)
     if step is None:
         return True
-    if 2.0 * step * frequency > 1.0 and spacing_deg(r.theta_deg) is None:
+    if 2.0 * step * frequency > 1.0 and _is_by_readings(r):
         return False
     halves = max(1.0, round(2.0 * step * frequency)) / (2.0 * step)
     return abs(frequency - halves) * (1.0 + ROUNDING) >= 1.0 / arc
