@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from posed import posed
 
+from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.diagnosis.candidates import candidates_of
 from calrig.calibration.diagnosis.held_out import FOLDS, CrossValidation, cross_validate, errors_deg, folds_of
+from calrig.calibration.diagnosis.report import fitted_scale
 from calrig.calibration.line import rms
 from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import Responses, responses_of
@@ -87,8 +89,20 @@ def test_errors_of_held_out_poses_are_of_elevation_not_of_reading() -> None:
     beta = fit(r, r.base).beta
     values = r.values.copy()
     values[5, 0] += 0.1
-    errors = errors_deg(replace(r, values=values), (), beta, np.array([4, 5]))
+    errors = errors_deg(replace(r, values=values), (), beta, np.array([4, 5]), fitted_scale(r, beta))
     assert errors == pytest.approx([0.0, 0.125], abs=1e-6)
+
+
+def test_errors_beside_a_curve_are_of_elevation_by_the_mean_slope() -> None:
+    """A reading that bends, from 0° on: its slope there is 1, and 1.6 on the mean; each errs by 0.05°."""
+    rng = np.random.default_rng(5)
+    theta_deg = np.repeat(np.arange(0.0, 121.0, 2.0), 4)
+    noise_deg = rng.normal(0.0, 0.05, len(theta_deg))
+    found = diagnose(
+        [posed(target_deg=theta_deg, reading_deg=theta_deg * (1 + theta_deg / 200.0) + noise_deg)]
+    )
+    assert [f.candidate.name for f in found.findings.found] == ["nonlinearity"]
+    assert rms(found.held_out.final_deg) == pytest.approx(0.05 / 1.6, rel=0.1)
 
 
 def test_the_error_before_is_that_of_a_calibrations_own_line_however_the_noise_wanders() -> None:

@@ -21,6 +21,7 @@ from calrig.calibration.diagnosis.candidates import Candidate, model_columns, ow
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
+from calrig.calibration.diagnosis.report import fitted_scale, scale_of_errors
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
@@ -28,7 +29,6 @@ from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
-from calrig.calibration.regression.channels import SCALE_UNIT_DEG
 from calrig.calibration.regression.noise_model import Fit, distance_of, fit
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.run_changes import with_free_levels
@@ -104,7 +104,8 @@ def cross_validate(
             continue
         model = fitted_model(findings.responses, [f.candidate for f in findings.found])
         shown = linear_about(r, [c for c in whole if c is not None], model)
-        final[test] = errors_deg(*shown, model.fitted.beta, test)
+        beta = model.fitted.beta
+        final[test] = errors_deg(*shown, beta, test, scale_of_errors(r, shown[1], beta))
     return CrossValidation(base, final, folds)
 
 
@@ -181,18 +182,17 @@ def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:
 
 
 def errors_deg(
-    r: Responses, accepted: Sequence[Candidate], beta: FloatArray, test: npt.NDArray[np.intp]
+    r: Responses, accepted: Sequence[Candidate], beta: FloatArray, test: npt.NDArray[np.intp], scale: float
 ) -> FloatArray:
-    """Return (m,) reading less prediction of some poses, over the scale, in degrees of elevation.
+    """Return (m,) reading less prediction of some poses, in degrees of elevation.
 
     Args:
         r: all poses.
         accepted: the effects in the model, in all poses.
         beta: (p,) as fitted elsewhere.
         test: (m,) the poses to predict.
+        scale: of errors (`scale_of_errors`).
     """
-    scale_at = r.base_names.index("reading.scale") if "reading.scale" in r.base_names else None
-    scale = 1.0 if scale_at is None else 1.0 + beta[scale_at] / SCALE_UNIT_DEG
     columns = model_columns(r, accepted)[test, 0, :]
     return np.asarray((r.values[test, 0] - columns @ beta) / scale, dtype=np.float64)
 
@@ -241,7 +241,9 @@ def confirm(
     errors = []
     for effects_in in ((), accepted):
         model = fitted_model(seen, [effect.rows(train) for effect in effects_in])
-        errors.append(errors_deg(*linear_about(r, effects_in, model), model.fitted.beta, test))
+        beta = model.fitted.beta
+        about = linear_about(r, effects_in, model)
+        errors.append(errors_deg(*about, beta, test, scale_of_errors(r, effects_in, beta)))
     return Confirmation(rms(errors[0]), rms(errors[1]), len(test))
 
 
@@ -344,10 +346,13 @@ def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatA
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         seen, shown = r.rows(train), _shown(r, accepted, train)
         if not accepted:
-            errors[test] = errors_deg(r, (), _line(seen), test)
+            line = _line(seen)
+            errors[test] = errors_deg(r, (), line, test, fitted_scale(r, line))
             continue
         model = fitted_model(seen, [c.rows(train) for c in shown])
-        errors[test] = errors_deg(*linear_about(r, shown, model), model.fitted.beta, test)
+        beta = model.fitted.beta
+        scale = scale_of_errors(r, shown, beta)
+        errors[test] = errors_deg(*linear_about(r, shown, model), beta, test, scale)
     return errors
 
 

@@ -360,7 +360,7 @@ def drawn_residuals(
     reading_deg = r.theta_deg + r.values[:, 0]
     line = fit_line(r.theta_deg, reading_deg)
     before_deg = residuals_deg(r.theta_deg, reading_deg, line.bias_deg, line.scale)
-    after_deg = fitted.residuals[:, 0] / fitted_scale(r, fitted.beta)
+    after_deg = fitted.residuals[:, 0] / scale_of_errors(r, chosen, fitted.beta)
     partial = []
     for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
         at = _column(r, candidate.covariate)
@@ -376,6 +376,22 @@ def fitted_scale(r: Responses, beta: FloatArray) -> float:
     """Return the scale of the reading in a fit's coefficients (p,); 1 where it has none."""
     names = r.base_names
     return 1.0 + float(beta[names.index(SCALE)]) / SCALE_UNIT_DEG if SCALE in names else 1.0
+
+
+CURVES = ("nonlinearity", UNNAMED)
+
+
+def scale_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> float:
+    """Return what errors of the reading are divided by, for degrees of elevation, in a model fitted (p,).
+
+    Beside a curve of the angle the model's own scale is the slope at 0°, where perhaps no pose lies: there it
+    is that of bias and scale alone, the mean slope.
+    """
+    line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
+    has_curve = any(c.name in CURVES and c.covariate == ELEVATION.name for c in accepted)
+    if has_curve and line.follows and line.scale is not None:
+        return line.scale
+    return fitted_scale(r, beta)
 
 
 def likeliest_forms(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:

@@ -26,7 +26,7 @@ from calrig.calibration.diagnosis.held_out import (
     worse,
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
-from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, model_words
+from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, model_words, scale_of_errors
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.effects.unnamed import TIMES
@@ -44,6 +44,8 @@ from calrig.estimation.angles import FloatArray
 BOOTSTRAPS = 999
 UNSEEN = 3.0
 """How many times as far as the accelerometer's angle a reading strays that gravity does not account for."""
+LISTED = 5
+"""Outliers that a warning lists; a burst has many."""
 WEAKEST_FIRST = ("ambiguous", "unnamed", "named")
 
 
@@ -170,7 +172,7 @@ def _require_that_readings_follow(findings: Findings) -> None:
     if abs(fitted_scale(r, findings.fitted.beta)) >= MIN_SCALE and (explained or line.follows):
         return
     raise DiagnosisError(
-        f"the readings are not seen to follow the {np.ptp(r.theta_deg):.3g}° that the elevation turns: look "
+        f"the readings are not seen to follow the {np.ptp(r.theta_deg):.4g}° that the elevation turns: look "
         "at reading_deg, at its unit and at what fills it, or turn further"
     )
 
@@ -178,18 +180,22 @@ def _require_that_readings_follow(findings: Findings) -> None:
 def _parted(
     runs: Sequence[Sequence[Pose]], findings: Findings
 ) -> tuple[tuple[tuple[Pose, ...], ...], list[str]]:
-    """Return the runs less the outliers of a search, and a sentence for each of those."""
+    """Return the runs less the outliers of a search, and a sentence on those of each."""
     used = set(findings.kept.tolist())
     kept, said, first = [], [], 0
     for number, run in enumerate(runs):
         where = f" of run {number}" if len(runs) > 1 else ""
         kept.append(tuple(pose for k, pose in enumerate(run, first) if k in used))
-        said += [
-            f"outlier: pose {k - first}{where} at {pose.target_deg:g}° reads {pose.reading_deg:g}°, far from "
-            "what the model says of it: left out"
+        left = [
+            f"pose {k - first} at {pose.target_deg:g}°, which reads {pose.reading_deg:g}°"
             for k, pose in enumerate(run, first)
             if k not in used
         ]
+        if left:
+            many = f"outliers{where}, {len(left)} poses" if len(left) > 1 else f"outlier{where}"
+            more = f" and {len(left) - LISTED} more" if len(left) > LISTED else ""
+            those = "; ".join(left[:LISTED])
+            said.append(f"{many} far from what the model says, left out: {those}{more}")
         first += len(run)
     return tuple(kept), said
 
@@ -264,7 +270,8 @@ def _before(r: Responses) -> tuple[Line, FloatArray]:
 
 def _after_deg(findings: Findings) -> FloatArray:
     """Return (n,) what the final model leaves of the readings, in degrees of elevation."""
-    scale = fitted_scale(findings.responses, findings.fitted.beta)
+    accepted = [f.candidate for f in findings.found]
+    scale = scale_of_errors(findings.responses, accepted, findings.fitted.beta)
     return np.asarray(findings.fitted.residuals[:, 0] / scale)
 
 
