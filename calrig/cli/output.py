@@ -351,6 +351,7 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
     `of_files` tells whether its poses are files, of which no service can take a follow-up run.
     """
     from calrig.calibration.effects import EFFECTS
+    from calrig.calibration.uncertainty import SAME_EFFECT
 
     print_line(f"{found.verdict}: {found.final.model}", style="bold")
     for effect in found.effects:
@@ -365,12 +366,19 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
         ("pure error", "", number(noise.pure_error_deg, "°")),
     ]
     print_table(("RMS", "before", "after"), rows)
+    print_sentence(f"held out: {found.held_out.how}")
+    for sentence in found.says[1:]:  # the first has the names, as above
+        print_sentence(sentence)
     for sentence in _of_base(base):
         print_sentence(sentence)
     print_warnings(found.warnings)
     if found.follow_up is not None:
         sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
-        names = " and ".join(EFFECTS[name].title for name in found.follow_up.separates)
+        origins = {effect.name: effect.origin for effect in found.effects}
+        first = found.follow_up.separates[0]
+        own = EFFECTS[first].title_of(origins.get(first, EFFECTS[first].origin))
+        others = [EFFECTS[name].title for name in found.follow_up.separates[1:]]
+        names = " and ".join([own, *(others or [SAME_EFFECT])])
         how = "its plan is in --json" if of_files else f"POST /api/runs/{found.runs[-1]}/follow-up"
         print_line(f"a follow-up run would separate {names} by {sigmas}: {how}")
 

@@ -9,7 +9,8 @@ called noise only if the pure error allows it. The verdict on a run's result is 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -110,11 +111,16 @@ def _answer(diagnosis: Document) -> str:
     if not effects:
         return _nothing(diagnosis)
     parts = [
-        ("Indistinguishable by these poses", "; ".join(map(_suspects, _of(effects, "ambiguous")))),
-        ("Not in the catalogue", ", ".join(map(_title, _of(effects, "unnamed")))),
-        ("Identified", ", ".join(map(_title, _of(effects, "named")))),
+        ("Indistinguishable by these poses", "; ".join(_each_once(_suspects, _of(effects, "ambiguous")))),
+        ("Not in the catalogue", ", ".join(_each_once(_title, _of(effects, "unnamed")))),
+        ("Identified", ", ".join(_each_once(_title, _of(effects, "named")))),
     ]
     return ". ".join(f"{what}: {which}" for what, which in parts if which)
+
+
+def _each_once(words: Callable[[Document], str], effects: Sequence[Document]) -> list[str]:
+    """Return the words for each of the effects; of several with the same words, how many there are."""
+    return [f"{one} ({n} of them)" if n > 1 else one for one, n in Counter(map(words, effects)).items()]
 
 
 def _nothing(diagnosis: Document) -> str:
