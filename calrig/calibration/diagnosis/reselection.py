@@ -310,10 +310,12 @@ def with_known_places(
     Each was refined while other effects were missing, so all are tried at once, then one by one. Between two
     known values, such as orders 6 and 7 of one turn, one may stand for both.
     """
+    there = {_key(f.candidate) for f in found}
     known = [c for c in candidates if c.shape.series and not c.shape.scanned and c.beside is None]
-    beside = {k: near for k, f in enumerate(found) if (near := _beside(r, f.candidate, known))}
-    nearest = {f.candidate: near[:1] for k, f in enumerate(found) if (near := beside.get(k))}
-    both = {f.candidate: near for k, f in enumerate(found) if len(near := beside.get(k, [])) == 2}
+    known = [c for c in known if _key(c) not in there]
+    beside = {f.candidate: _beside(r, f.candidate, known) for f in found}
+    nearest = {c: near[:1] for c, near in beside.items() if near}
+    both = {c: near for c, near in beside.items() if len(near) == 2}
     for moves in (nearest, *({c: near} for those in (nearest, both) for c, near in those.items())):
         put = [
             f if place is f.candidate else replace(f, candidate=place)
