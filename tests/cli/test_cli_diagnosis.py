@@ -37,6 +37,8 @@ def test_a_file_is_diagnosed_and_a_run_made_of_it_likewise(warming):
     assert shown.startswith("named: reading = bias + scale·θ + temperature_bias")
     before, after = (f"{of_file[model]['held_out_rms_deg']:.4f}°" for model in ("base", "final"))
     assert re.search(rf"held-out poses +│ +{before} │ +{after}", shown)
+    lines = shown.splitlines()
+    assert {f"held out: {of_file['held_out']['how']}", *of_file["says"][1:]} <= set(lines)
     scale = f"{of_file['base']['scale']:.5f}"
     assert re.search(rf"before: bias −?[0-9.]+°, scale {scale}; RMS in degrees of elevation", shown)
 
