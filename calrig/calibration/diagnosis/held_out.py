@@ -24,7 +24,7 @@ from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.report import fitted_scale, scale_of_errors
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
-from calrig.calibration.diagnosis.sensor_model import fitted_model, linear_about
+from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
@@ -103,9 +103,7 @@ def cross_validate(
         if None in whole:
             continue
         model = fitted_model(findings.responses, [f.candidate for f in findings.found])
-        shown = linear_about(r, [c for c in whole if c is not None], model)
-        beta = model.fitted.beta
-        final[test] = errors_deg(*shown, beta, test, scale_of_errors(r, shown[1], beta))
+        final[test] = _errors_of(r, [c for c in whole if c is not None], model, test)
     return CrossValidation(base, final, folds)
 
 
@@ -197,6 +195,12 @@ def errors_deg(
     return np.asarray((r.values[test, 0] - columns @ beta) / scale, dtype=np.float64)
 
 
+def _errors_of(r: Responses, accepted: Sequence[Candidate], elsewhere: Model, test: Intp) -> FloatArray:
+    """Return the same of a model that was fitted elsewhere, its effects given in all poses."""
+    beta = elsewhere.fitted.beta
+    return errors_deg(*linear_about(r, accepted, elsewhere), beta, test, scale_of_errors(r, accepted, beta))
+
+
 def _line(r: Responses) -> FloatArray:
     """Return the coefficients (p,) of bias and scale alone, by least squares, as a calibration fits them.
 
@@ -241,9 +245,7 @@ def confirm(
     errors = []
     for effects_in in ((), accepted):
         model = fitted_model(seen, [effect.rows(train) for effect in effects_in])
-        beta = model.fitted.beta
-        about = linear_about(r, effects_in, model)
-        errors.append(errors_deg(*about, beta, test, scale_of_errors(r, effects_in, beta)))
+        errors.append(_errors_of(r, effects_in, model, test))
     return Confirmation(rms(errors[0]), rms(errors[1]), len(test))
 
 
@@ -350,9 +352,7 @@ def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatA
             errors[test] = errors_deg(r, (), line, test, fitted_scale(r, line))
             continue
         model = fitted_model(seen, [c.rows(train) for c in shown])
-        beta = model.fitted.beta
-        scale = scale_of_errors(r, shown, beta)
-        errors[test] = errors_deg(*linear_about(r, shown, model), beta, test, scale)
+        errors[test] = _errors_of(r, shown, model, test)
     return errors
 
 

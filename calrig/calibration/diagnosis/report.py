@@ -379,6 +379,7 @@ def fitted_scale(r: Responses, beta: FloatArray) -> float:
 
 
 CURVES = ("nonlinearity", UNNAMED)
+"""Effects that, of the angle, may have a slope of their own along the whole range."""
 
 
 def scale_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> float:
@@ -387,10 +388,10 @@ def scale_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArra
     Beside a curve of the angle the model's own scale is the slope at 0°, where perhaps no pose lies: there it
     is that of bias and scale alone, the mean slope.
     """
-    line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
-    has_curve = any(c.name in CURVES and c.covariate == ELEVATION.name for c in accepted)
-    if has_curve and line.follows and line.scale is not None:
-        return line.scale
+    if any(c.name in CURVES and c.covariate == ELEVATION.name for c in accepted):
+        line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
+        if line.follows and line.scale is not None:
+            return line.scale
     return fitted_scale(r, beta)
 
 
