@@ -125,8 +125,11 @@ class Seen(NamedTuple):
 
 
 def _look(context: ApiContext, run_id: str, known: int) -> Seen:
-    """Whether the run had ended is asked before its events are read: then these are the last there are."""
-    ended = context.service.run(run_id).status in AT_REST
+    """Whether the run had ended is asked before its events are read: then these are the last there are.
+
+    The store is asked, not the service: that may know of an end which the store cannot be told of yet.
+    """
+    ended = context.store.runs.get(run_id).status in AT_REST
     batch = context.store.events.after(run_id, known, BATCH)
     written = b"".join(_written(event) for event in batch)
     return Seen(written, batch[-1].seq if batch else 0, len(batch) == BATCH, ended)

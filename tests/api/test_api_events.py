@@ -14,6 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support import FAST, LONG, QUICK, ended, running_service, serving, wait_for
 
+from calrig.api import events as api_events
+from calrig.store import StoreUnavailableError
+
 
 def events(lines: Iterator[str]) -> Iterator[tuple[int, str, dict]]:
     """The events of a stream as (id, type, data), told apart from comments (HTML standard, 9.2.6)."""
@@ -150,6 +153,30 @@ def test_a_service_that_stops_ends_its_streams(service):
     watcher.join(60)
     assert not watcher.is_alive()
     assert service.run(run_id).status == "interrupted"
+
+
+def test_a_stream_tells_the_end_of_a_run_that_the_store_was_told_of_late(client, service, monkeypatch):
+    looks: list[str] = []
+    has_room = threading.Event()
+    look, update = api_events._look, service.store.runs.update
+
+    def counted(context, run_id, known):
+        looks.append(service.run(run_id).status)
+        return look(context, run_id, known)
+
+    def refused(run_id, **changes):
+        if changes.get("status") == "completed" and not has_room.is_set():
+            raise StoreUnavailableError("the disk is full: free some space")
+        return update(run_id, **changes)
+
+    monkeypatch.setattr("calrig.api.events._look", counted)
+    monkeypatch.setattr("calrig.api.events.KEEP_ALIVE_S", 0.005)
+    monkeypatch.setattr(service.store.runs, "update", refused)
+    run_id = start(client)
+    with client.stream("GET", f"/api/runs/{run_id}/events") as answer:
+        wait_for(lambda: "completed" in looks, "look at the log of a run that is over, as far as is known")
+        has_room.set()
+        assert list(events(answer.iter_lines()))[-1][1:] == ("state", {"status": "completed", "error": None})
 
 
 def test_a_stream_with_nothing_to_tell_says_so_now_and_then(client, monkeypatch):

@@ -132,8 +132,12 @@ def _watched(process: psutil.Process, length_s: float) -> _Memory:
 
 
 def trial(extent: Extent) -> list[Count]:
-    """All at once, for this share of thirty minutes."""
-    length_s = extent.share * LENGTH_S
+    """All at once, for this share of thirty minutes.
+
+    Of a share, what a busy machine does to rigs in real time is told and not judged: a board that got no
+    processor for a second was silent, as far as anybody can know. What is lost without a word always is.
+    """
+    whole, length_s = extent.share >= 1.0, extent.share * LENGTH_S
     spawn = get_context("spawn")
     with tempfile.TemporaryDirectory() as name, benches(RIGS) as rigs:
         served = Served(configured(Path(name), rigs), Path(name) / "calrig.db")
@@ -166,7 +170,7 @@ def trial(extent: Extent) -> list[Count]:
         f"run {run_id}, pose {pose['index']}: {pose['n_samples']}"
         for run_id, of_run in poses.items()
         for pose in of_run
-        if pose["n_samples"] < READINGS - 1
+        if pose["n_samples"] < READINGS - 1 and (whole or not runs[run_id]["faults"])
     ]
     failed = [f"run {i}: {run['error']}" for i, run in runs.items() if run["status"] != "aborted"]
     missed = [
@@ -180,15 +184,28 @@ def trial(extent: Extent) -> list[Count]:
     return [
         none_of("runs that failed", tried, failed),
         none_of("poses with a lost sample", tried, short),
-        none_of("runs with a fault counted", tried, faults),
+        Count(
+            "runs with a fault counted",
+            tried,
+            "0" if whole else "told only",
+            str(len(faults)),
+            not (whole and faults),
+            tuple(faults),
+        ),
         none_of("clients that missed an event or had it out of order", events, missed),
         Count(
             "memory's growth, MB an hour",
             f"{memory.mb[0]:.0f} MB at first, {memory.mb[-1]:.0f} at last",
-            f"< {GROWTH_MB_A_HOUR:g}" if extent.share >= 1 else "told only",
+            f"< {GROWTH_MB_A_HOUR:g}" if whole else "told only",
             f"{growth:.0f}",
-            growth < GROWTH_MB_A_HOUR or extent.share < 1,
+            growth < GROWTH_MB_A_HOUR or not whole,
         ),
         Count("of one core", tried, "told only", f"{100 * cpu_s / length_s:.0f} %", kept=True),
-        Count("SIGTERM to end, s", "once", "< 5", f"{ended_s:.1f}", ended_s < 5.0),
+        Count(
+            "SIGTERM to end, s",
+            "once",
+            "< 5" if whole else "told only",
+            f"{ended_s:.1f}",
+            ended_s < 5.0 or not whole,
+        ),
     ]
