@@ -11,6 +11,7 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic_core import to_json
 from starlette.exceptions import HTTPException
 
+from calrig.analysis.stored_runs import stored_run
 from calrig.api.context import ApiContext, Context, KnownRun
 from calrig.api.routes import answers
 from calrig.model.run import AT_REST
@@ -129,7 +130,7 @@ def _look(context: ApiContext, run_id: str, known: int) -> Seen:
 
     The store is asked, not the service: that may know of an end which the store cannot be told of yet.
     """
-    ended = context.store.runs.get(run_id).status in AT_REST
+    ended = stored_run(context.store, run_id).status in AT_REST
     batch = context.store.events.after(run_id, known, BATCH)
     written = b"".join(_written(event) for event in batch)
     return Seen(written, batch[-1].seq if batch else 0, len(batch) == BATCH, ended)

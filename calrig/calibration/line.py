@@ -36,6 +36,8 @@ class Line:
         covariance: of bias (deg) and scale; None without a scale or without degrees of freedom.
         residual_std_deg: standard deviation of a reading about the true line.
         effect_parameters: of effects, fitted to the same poses in addition; each takes a degree of freedom.
+        slope: by how much a reading grows per degree of elevation, where curves of the unit make that another
+            than the scale: its inverse square is the mean of the poses'.
     """
 
     bias_deg: float
@@ -45,6 +47,7 @@ class Line:
     covariance: Matrix2 | None
     residual_std_deg: float | None
     effect_parameters: int = 0
+    slope: float | None = None
 
     @property
     def follows(self) -> bool:

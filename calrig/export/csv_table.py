@@ -304,6 +304,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
             report.say(f"the names of the columns are read from the comment in line {header.line}")
     if not header.text:
         raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
+    if _JSON.match(header.text):
+        raise CsvError("is JSON, not a table: write the names of the columns, then a row each", line=header.line)
     rows = data[header.end : header.end + EXAMINED_BYTES]
     _refuse_long_names(header)
     dialect = dialect_of(header.text, rows, known, separators)
@@ -348,6 +350,7 @@ class _Row(NamedTuple):
     comments: tuple[_Row, ...] = ()
 
 
+_JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 
 

@@ -218,3 +218,23 @@ def test_a_calibration_that_does_not_know_the_level_is_verified_however_the_unit
             abs(clamped_deg), abs=0.02 + 0.05 * abs(clamped_deg)
         )
         assert (found.bias_deg, found.reference_says) == (0.0, RELATIVE)
+
+
+def test_errors_with_a_curve_are_of_the_elevation_that_solves_it():
+    theta, bend, noise_deg = np.tile(np.arange(20.0, 81.0, 1.0), 9), -0.006, 0.05
+    noise = np.random.default_rng(1).normal(0.0, noise_deg, len(theta))
+    reading = 3.0 + 1.3 * theta + bend * theta**2 + noise
+    poses = [Pose(float(at), float(read)) for at, read in zip(theta, reading, strict=True)]
+    reference = Reference(std_deg=1e-6)
+    result = build_result(poses, effects=[("nonlinearity", {"deg_per_deg2": bend})], reference=reference)
+    fitted = result.over_range
+    solved = [
+        min(np.roots([bend, fitted.scale, fitted.bias_deg - read]).real, key=lambda root: abs(root - at))
+        for at, read in zip(theta, reading, strict=True)
+    ]
+    error_deg = np.array(solved) - theta
+    assert result.rms_with_effects_deg == pytest.approx(np.sqrt(np.mean(error_deg**2)), rel=0.01)
+    at_the_end = error_deg[theta == 80.0]
+    assert np.std(at_the_end) > 2 * noise_deg, "there a reading grows by a third of a degree per degree"
+    type_a_deg = fitted.expanded_uncertainty_deg / fitted.coverage_factor
+    assert type_a_deg == pytest.approx(result.rms_with_effects_deg, rel=0.1)

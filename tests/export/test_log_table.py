@@ -99,6 +99,14 @@ def test_reading_says_how_far_it_is():
     [
         (b"a\n" + b"1\n" * 1001, "line 1002: the file has more than 1000 rows"),
         (b"a\n" + b" " * 100_000, "the file has 100002 bytes; at most 100000 are read"),
+        (
+            b' {"a": [1, 2]}\n',
+            "line 1: is JSON, not a table: write the names of the columns, then a row each",
+        ),
+        (
+            b"[\n[1, 2],\n[3, 4]]\n",
+            "line 1: is JSON, not a table: write the names of the columns, then a row each",
+        ),
         (b"a\n1\n\xff\n", "line 3: is not UTF-8 text (byte 0xFF): save the file as UTF-8"),
     ],
 )

@@ -40,6 +40,7 @@ from calrig.calibration.results.correction import (
     fit_line_with_effects,
     numbers_of,
     own_effect,
+    unit_slopes,
 )
 from calrig.calibration.results.pose_errors import angles_deg, circumstances
 from calrig.estimation.angles import FloatArray
@@ -263,9 +264,11 @@ class _TestedRun:
             theta_deg = self.theta_deg[test]
             felt_deg = felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
             added_deg = effects_on_reading_deg(effects, theta_deg, asked, felt_deg)
+            slopes = unit_slopes(theta_deg, line, effects, asked)
         except ApplyError as error:
             raise DiagnosisError(str(error)) from error
-        return residuals_deg(theta_deg, self.reading_deg[test] - added_deg, line.bias_deg, line.scale)
+        left_deg = residuals_deg(theta_deg, self.reading_deg[test] - added_deg, line.bias_deg, line.scale)
+        return left_deg * (line.scale or 1.0) / slopes
 
 
 def _problem(runs: Sequence[RunOfEffects], effects: Sequence[AppliedEffect]) -> _Problem:

@@ -130,6 +130,33 @@ def felt_elevation_deg(theta_deg: FloatArray, bias_deg: float, scale: float | No
     return bias_deg + (1.0 if scale is None else scale) * theta_deg
 
 
+def slope_of_reading(
+    theta_deg: FloatArray,
+    bias_deg: float,
+    scale: float | None,
+    effects: Sequence[AppliedEffect],
+    given: Circumstances | None = None,
+) -> FloatArray:
+    """Return (n,) by how many degrees a reading grows per degree of elevation, effects included."""
+    behind, ahead = (
+        effects_on_reading_deg(effects, at_deg, given, felt_elevation_deg(at_deg, bias_deg, scale))
+        for at_deg in (theta_deg - DERIVATIVE_STEP_DEG, theta_deg + DERIVATIVE_STEP_DEG)
+    )
+    return (1.0 if scale is None else scale) + (ahead - behind) / (2.0 * DERIVATIVE_STEP_DEG)
+
+
+def unit_slopes(
+    theta_deg: FloatArray, line: Line, effects: Sequence[AppliedEffect], given: Circumstances
+) -> FloatArray:
+    """Return (n,) the unit's `slope_of_reading`, NaN where a curve turns it round.
+
+    `line` follows the stage. Effects of the stage move the unit, and change nothing about this.
+    """
+    of_unit = [one for one in effects if effect_of(one[0]).scope == "unit" or OF_SENSOR in one[1]]
+    slope = slope_of_reading(theta_deg, line.bias_deg, line.scale, of_unit, given)
+    return np.where(slope * (line.scale or 1.0) > 0.0, slope, np.nan)
+
+
 def calibrated_elevation_deg(
     reading_deg: FloatArray,
     bias_deg: float,
@@ -163,14 +190,10 @@ def calibrated_elevation_deg(
     theta = aim / factor
     stands_for_many = np.isnan(aim)
 
-    def added_deg(at_deg: FloatArray) -> FloatArray:
-        felt_deg = felt_elevation_deg(at_deg, bias_deg, scale)
-        return effects_on_reading_deg(effects, at_deg, given, felt_deg)
-
     for _ in range(ITERATIONS):
-        here = factor * theta + added_deg(theta)
-        ahead, behind = (added_deg(theta + step) for step in (DERIVATIVE_STEP_DEG, -DERIVATIVE_STEP_DEG))
-        slope = factor + (ahead - behind) / (2.0 * DERIVATIVE_STEP_DEG)
+        felt_deg = felt_elevation_deg(theta, bias_deg, scale)
+        here = factor * theta + effects_on_reading_deg(effects, theta, given, felt_deg)
+        slope = slope_of_reading(theta, bias_deg, scale, effects, given)
         stands_for_many |= slope / factor <= 0.0
         step = np.where(stands_for_many, 0.0, (aim - here) / np.where(stands_for_many, 1.0, slope))
         theta = theta + step

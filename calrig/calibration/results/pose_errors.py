@@ -27,6 +27,7 @@ from calrig.calibration.results.correction import (
     error_on_vector_g,
     felt_elevation_deg,
     fit_line_with_effects,
+    unit_slopes,
 )
 from calrig.estimation.angles import FloatArray, wrap_deg
 
@@ -61,23 +62,38 @@ def as_clamped(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffec
     mean. Errors as of `corrected_residuals_deg`.
     """
     for _ in range(4):  # effects act at the elevation that the sensor feels, which each step knows better
-        left_deg = corrected_residuals_deg(poses, line, effects)
-        line = replace(line, bias_deg=line.bias_deg + (line.scale or 1.0) * float(left_deg.mean()))
+        left_deg = readings_left_deg(poses, line, effects)
+        line = replace(line, bias_deg=line.bias_deg + float(left_deg.mean()))
     return line
 
 
 def corrected_residuals_deg(
-    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]
+    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect], given: Circumstances | None = None
 ) -> FloatArray:
     """Return (n,) calibrated elevation of each pose, effects taken out, less the stage's.
 
-    NaN where the scale is smaller than `MIN_SCALE`.
+    What is left of a reading is divided by its slope there, as the unit's own curves make it. NaN where the
+    scale is smaller than `MIN_SCALE`, and where a curve turns the slope round: one reading stands for many
+    elevations. `given` are the poses' circumstances, where known.
 
     Raises:
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, _ = angles_deg(poses)
-    return residuals_deg(theta, without_effects_deg(poses, line, effects), line.bias_deg, line.scale)
+    given = given or circumstances(poses)
+    return readings_left_deg(poses, line, effects, given) / unit_slopes(theta, line, effects, given)
+
+
+def readings_left_deg(
+    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect], given: Circumstances | None = None
+) -> FloatArray:
+    """Return (n,) what line and effects leave of each reading, in degrees of the reading.
+
+    `given` and errors as of `corrected_residuals_deg`; NaN where the scale is smaller than `MIN_SCALE`.
+    """
+    theta, _ = angles_deg(poses)
+    without = without_effects_deg(poses, line, effects, given)
+    return residuals_deg(theta, without, line.bias_deg, line.scale) * (line.scale or 1.0)
 
 
 def without_effects_deg(

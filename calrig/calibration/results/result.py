@@ -12,11 +12,12 @@ from pydantic import Field
 from calrig.calibration.line import Line, fit_line, residuals_deg, rms
 from calrig.calibration.poses import Pose, of_first_mount
 from calrig.calibration.regression.effect import ApplyError
-from calrig.calibration.results.correction import AppliedEffect, fit_line_with_effects
+from calrig.calibration.results.correction import AppliedEffect, fit_line_with_effects, unit_slopes
 from calrig.calibration.results.pose_errors import (
     angles_deg,
     as_clamped,
     circumstances,
+    corrected_residuals_deg,
     nominal_deg,
     raw_error_deg,
     without_effects_deg,
@@ -168,7 +169,7 @@ def apply_calibration(
     applied = as_clamped(poses, line, effects) if clamped_anew else line
     bare = as_clamped(poses, line, ()) if clamped_anew else line
     without = without_effects_deg(poses, applied, effects)
-    left_deg = residuals_deg(theta, without, applied.bias_deg, applied.scale)
+    left_deg = corrected_residuals_deg(poses, applied, effects)
     fresh = build_result(poses, gyro)
     return fresh.model_copy(
         update={
@@ -202,10 +203,13 @@ def _line_with_effects(
     given = circumstances(poses)
     try:
         line = fit_line_with_effects(theta, reading, effects, given)
-        without = without_effects_deg(poses, line, effects, given)
+        left_deg = corrected_residuals_deg(poses, line, effects, given)
+        slopes = unit_slopes(theta, line, effects, given)
     except ApplyError:
         return None
-    return line, line.left_deg(theta, without)
+    if not line.follows or np.isnan(slopes).any():
+        return line, np.full(len(left_deg), math.nan)
+    return replace(line, slope=1.0 / rms(1.0 / slopes)), left_deg
 
 
 def _with_fewer_degrees(line: Line, n_poses: int, fitted: int) -> Line:

@@ -30,6 +30,7 @@ from calrig.calibration.results.pose_errors import (
     as_clamped,
     circumstances,
     corrected_residuals_deg,
+    readings_left_deg,
 )
 from calrig.calibration.results.result import FittedResult, apply_calibration
 from calrig.estimation.angles import FloatArray
@@ -109,7 +110,7 @@ def basis_of_poses(
     try:
         for k, poses in enumerate(runs):
             of_run = _design(poses, line, effects)
-            error_deg = corrected_residuals_deg(poses, line, [*effects, *of_rig]) * (line.scale or 1.0)
+            error_deg = readings_left_deg(poses, line, [*effects, *of_rig])
             design = np.zeros((len(poses), of_run.shape[1] + 2 * (len(runs) - 1)))
             design[:, 2 : of_run.shape[1]] = of_run[:, 2:]
             own = 0 if k == 0 else of_run.shape[1] + 2 * (k - 1)
@@ -163,7 +164,8 @@ def verify(
         update={"rms_deg": rms(error_deg) if np.isfinite(error_deg).all() else None}
     )
     if judged.noise_deg and np.isfinite(error_deg).all():
-        tested = _tested(inside, error_deg, line, effects, reference, promise, judged.noise_deg, clamped_anew)
+        left_deg = readings_left_deg(inside, line, effects)
+        tested = _tested(inside, left_deg, line, effects, reference, promise, judged.noise_deg, clamped_anew)
         verified = verified.model_copy(update=tested)
     return result.model_copy(update={"over_range": judged.over_range, "verified": verified})
 
@@ -196,7 +198,7 @@ def _verified(poses: Sequence[Pose], inside: Sequence[Pose], promise: Promise) -
 
 def _tested(
     poses: Sequence[Pose],
-    error_deg: FloatArray,
+    left_deg: FloatArray,
     line: Line,
     effects: Sequence[AppliedEffect],
     reference: ReferenceFigures | None,
@@ -204,7 +206,7 @@ def _tested(
     noise_deg: float,
     clamped_anew: bool,
 ) -> dict[str, float | None]:
-    """Return the figures of the test, for `Verified`."""
+    """Return the figures of the test of what is left of the readings (n,), for `Verified`."""
     theta, _ = angles_deg(poses)
     scale = line.scale or 1.0
     try:
@@ -212,7 +214,7 @@ def _tested(
     except ApplyError:
         design = _design(poses, line, ())
     setting_deg = abs(scale) * reference.std_deg if reference and reference.kind == "setting" else 0.0
-    fresh = _Run(design, scale * error_deg, math.hypot(noise_deg, setting_deg))
+    fresh = _Run(design, left_deg, math.hypot(noise_deg, setting_deg))
     basis = promise.basis
     if basis is None:
         covariance = np.zeros((design.shape[1],) * 2)

@@ -74,6 +74,8 @@ def uncertainty(
 
         u²(θ) = (s² + var(bias) + 2·θ·cov(bias, scale) + θ²·var(scale))/scale²
 
+    Beside a curve of the unit's the scale here is the line's `slope`.
+
     One figure for the whole range is the mean of u² over it (F.2.4.5). This is type A (4.2). What the
     reference is worth is type B (4.3, `reference_part`). The two are uncorrelated (5.1.2) and combine to
     U = k·√(A² + B²), k for 95 % by `coverage_factor` (6.2.1). All of type A comes from the one scatter s, so
@@ -176,7 +178,7 @@ def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) ->
         return None
     of_line = _mean_over_range(np.array(line.covariance), theta_deg)
     scatter_deg = line.residual_std_deg if scatter_deg is None else scatter_deg
-    return math.sqrt(scatter_deg**2 + of_line) / abs(line.scale)
+    return math.sqrt(scatter_deg**2 + of_line) / abs(line.slope or line.scale)
 
 
 MOST_PLACES = 25
