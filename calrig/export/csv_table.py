@@ -305,7 +305,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     if not header.text:
         raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
     if _JSON.match(header.text):
-        raise CsvError("is JSON, not a table: write the names of the columns, then a row each", line=header.line)
+        what = "is JSON, not a table: write the names of the columns, then a row each"
+        raise CsvError(what, line=header.line)
     rows = data[header.end : header.end + EXAMINED_BYTES]
     _refuse_long_names(header)
     dialect = dialect_of(header.text, rows, known, separators)
