@@ -12,6 +12,8 @@ import httpx
 import pytest
 from support import LONG, PATIENCE_S, lasting_port, wait_for
 
+from .page_help import unfold
+
 pytestmark = pytest.mark.browser
 
 CONFIG = """
@@ -73,5 +75,6 @@ def test_a_service_that_dies_is_said_to_be_gone_and_its_run_to_be_interrupted_wh
     expect(page.locator("#status")).to_have_text("interrupted")
     expect(page.locator("#abort")).to_be_hidden()
     expect(page.locator("#run-error")).to_be_hidden()
+    unfold(page, "charts")  # what is measured is folded once nothing is measured any more
     drawn = wait_for(lambda: page.evaluate(DRAWN), "points of the timeline")
     assert drawn == sorted(drawn)
