@@ -14,6 +14,7 @@ from random_certificates import random_certificate
 
 from calrig.errors import WorkError
 from calrig.export.certificate.content import Quantity
+from calrig.export.certificate.sheet import points
 from calrig.export.dcc.document import dcc_of
 from calrig.export.dcc.elements import UNITS, quantity
 from calrig.export.signing import signed_dcc
@@ -172,3 +173,10 @@ def test_a_figure_in_mg_is_in_m_per_s2_with_its_uncertainty():
     for real, factor in ((in_si, 9.80665e-3), (as_printed, 1.0)):
         found = [float(real.findtext(f".//si:{name}", namespaces=NAMES)) for name in ("value", *UNCERTAINTY)]
         assert found == pytest.approx([4.0 * factor, 1.0 * factor, 2.0, 0.95])
+
+
+def test_what_a_curve_leaves_no_elevation_for_is_not_stated_on_the_sheet_either():
+    sheets = [points(random_certificate(random.Random(seed))[0]) for seed in range(30)]
+    told = [str(blocks) for blocks in sheets]
+    assert not any("nan" in text for text in told)
+    assert any("not stated … not stated" in text for text in told)

@@ -125,8 +125,9 @@ def points(said: Certificate) -> tuple[Block, ...]:
     found = said.results
     note = f"As found: {found.found_by}. As left: with this calibration."
     columns = ("Elevation", "Poses", "As found", "from … to", "As left", "from … to", "U")
-    errors = [abs(end) for one in found.points for end in (one.left_low_deg, one.left_high_deg)]
-    shown = [one for one in (found.points[0].expanded_deg, max(errors)) if one] if found.points else []
+    ends = [end for one in found.points for end in (one.left_low_deg, one.left_high_deg)]
+    largest = max((abs(end) for end in ends if math.isfinite(end)), default=None)
+    shown = [one for one in (found.points[0].expanded_deg, largest) if one] if found.points else []
     place = min((place_of(one, DIGITS) for one in shown), default=-3)
     rows = [_point(point, place) for point in found.points]
     numbers = (True,) * len(columns)
@@ -198,7 +199,7 @@ def _point(point: Point, place: int) -> tuple[str, ...]:
     """A row; all errors to one place, so that the largest error has the digits that the verdict shows."""
 
     def at(value: float) -> str:
-        return _minus(rounded(value, place)) + "°"
+        return _minus(rounded(value, place)) + "°" if math.isfinite(value) else NOT_STATED
 
     return (
         _minus(f"{point.elevation_deg:.4g}") + "°",
