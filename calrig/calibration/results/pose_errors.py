@@ -68,19 +68,19 @@ def as_clamped(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffec
 
 
 def corrected_residuals_deg(
-    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect], given: Circumstances | None = None
+    poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]
 ) -> FloatArray:
     """Return (n,) calibrated elevation of each pose, effects taken out, less the stage's.
 
     What is left of a reading is divided by its slope there, as the unit's own curves make it. NaN where the
     scale is smaller than `MIN_SCALE`, and where a curve turns the slope round: one reading stands for many
-    elevations. `given` are the poses' circumstances, where known.
+    elevations.
 
     Raises:
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, _ = angles_deg(poses)
-    given = given or circumstances(poses)
+    given = circumstances(poses)
     return readings_left_deg(poses, line, effects, given) / unit_slopes(theta, line, effects, given)
 
 
@@ -89,7 +89,10 @@ def readings_left_deg(
 ) -> FloatArray:
     """Return (n,) what line and effects leave of each reading, in degrees of the reading.
 
-    `given` and errors as of `corrected_residuals_deg`; NaN where the scale is smaller than `MIN_SCALE`.
+    `given` are their circumstances, where known; NaN where the scale is smaller than `MIN_SCALE`.
+
+    Raises:
+        ApplyError: the poses lack what an effect is a function of.
     """
     theta, _ = angles_deg(poses)
     without = without_effects_deg(poses, line, effects, given)
