@@ -11,7 +11,8 @@ from posed import posed
 from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.diagnosis.candidates import candidates_of
 from calrig.calibration.diagnosis.held_out import FOLDS, CrossValidation, cross_validate, errors_deg, folds_of
-from calrig.calibration.diagnosis.report import fitted_scale
+from calrig.calibration.diagnosis.report import slopes_of_errors
+from calrig.calibration.diagnosis.tracing import document
 from calrig.calibration.line import rms
 from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import Responses, responses_of
@@ -89,20 +90,45 @@ def test_errors_of_held_out_poses_are_of_elevation_not_of_reading() -> None:
     beta = fit(r, r.base).beta
     values = r.values.copy()
     values[5, 0] += 0.1
-    errors = errors_deg(replace(r, values=values), (), beta, np.array([4, 5]), fitted_scale(r, beta))
+    errors = errors_deg(replace(r, values=values), (), beta, np.array([4, 5]), slopes_of_errors(r, (), beta))
     assert errors == pytest.approx([0.0, 0.125], abs=1e-6)
 
 
-def test_errors_beside_a_curve_are_of_elevation_by_the_mean_slope() -> None:
-    """A reading that bends, from 0° on: its slope there is 1, and 1.6 on the mean; each errs by 0.05°."""
-    rng = np.random.default_rng(5)
+def test_errors_beside_a_curve_are_of_the_elevation_that_solves_it() -> None:
+    """A reading θ + θ²/200°, from 0° on, with noise of 0.05°: its slope goes from 1 to 2.2."""
     theta_deg = np.repeat(np.arange(0.0, 121.0, 2.0), 4)
-    noise_deg = rng.normal(0.0, 0.05, len(theta_deg))
-    found = diagnose(
-        [posed(target_deg=theta_deg, reading_deg=theta_deg * (1 + theta_deg / 200.0) + noise_deg)]
-    )
+    noise_deg = np.random.default_rng(5).normal(0.0, 0.05, len(theta_deg))
+    readings_deg = theta_deg * (1.0 + theta_deg / 200.0) + noise_deg
+    found = diagnose([posed(target_deg=theta_deg, reading_deg=readings_deg)])
     assert [f.candidate.name for f in found.findings.found] == ["nonlinearity"]
-    assert rms(found.held_out.final_deg) == pytest.approx(0.05 / 1.6, rel=0.1)
+    solved_deg = 100.0 * (np.sqrt(np.maximum(1.0 + readings_deg / 50.0, 0.0)) - 1.0)
+    assert rms(found.held_out.final_deg) == pytest.approx(rms(solved_deg - theta_deg), rel=0.05)
+    stated = document(found, ["1"])["final"]
+    assert stated["fit_rms_deg"] == pytest.approx(rms(solved_deg - theta_deg), rel=0.02)
+
+
+@pytest.mark.parametrize("offset_g", [0.08, -0.08])
+def test_errors_beside_an_offset_of_the_axes_are_of_the_elevation_that_solves_it(offset_g: float) -> None:
+    """From 0 to 80° with 80 mg on an axis, the angle of gravity grows by up to 8 % more, or less."""
+    theta_deg = np.repeat(np.arange(0.0, 81.0, 2.0), 4)
+    rng = np.random.default_rng(6)
+
+    def read_deg(at_deg: np.ndarray) -> np.ndarray:
+        turn = np.radians(at_deg)
+        return np.degrees(np.arctan2(np.sin(turn) + offset_g, np.cos(turn)))
+
+    readings_deg = read_deg(theta_deg) + rng.normal(0.0, 0.05, len(theta_deg))
+    turn = np.radians(theta_deg)
+    y_g, z_g = (g + rng.normal(0.0, 1e-3, len(turn)) for g in (np.sin(turn) + offset_g, np.cos(turn)))
+    poses = posed(
+        target_deg=theta_deg, reading_deg=readings_deg, accel_x_g=0.0 * turn, accel_y_g=y_g, accel_z_g=z_g
+    )
+    found = diagnose([poses])
+    assert [f.candidate.name for f in found.findings.found] == ["accelerometer_offset"]
+    fine_deg = np.linspace(-20.0, 100.0, 200_001)
+    solved_deg = np.interp(readings_deg, read_deg(fine_deg), fine_deg)
+    stated = document(found, ["1"])["final"]
+    assert stated["fit_rms_deg"] == pytest.approx(rms(solved_deg - theta_deg), rel=0.02)
 
 
 def test_the_error_before_is_that_of_a_calibrations_own_line_however_the_noise_wanders() -> None:

@@ -21,7 +21,7 @@ from calrig.calibration.diagnosis.candidates import Candidate, model_columns, ow
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
-from calrig.calibration.diagnosis.report import fitted_scale, scale_of_errors
+from calrig.calibration.diagnosis.report import slopes_of_errors
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
@@ -180,7 +180,7 @@ def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:
 
 
 def errors_deg(
-    r: Responses, accepted: Sequence[Candidate], beta: FloatArray, test: npt.NDArray[np.intp], scale: float
+    r: Responses, accepted: Sequence[Candidate], beta: FloatArray, test: Intp, slopes: FloatArray
 ) -> FloatArray:
     """Return (m,) reading less prediction of some poses, in degrees of elevation.
 
@@ -189,16 +189,16 @@ def errors_deg(
         accepted: the effects in the model, in all poses.
         beta: (p,) as fitted elsewhere.
         test: (m,) the poses to predict.
-        scale: of errors (`scale_of_errors`).
+        slopes: (n,) of all poses (`slopes_of_errors`).
     """
     columns = model_columns(r, accepted)[test, 0, :]
-    return np.asarray((r.values[test, 0] - columns @ beta) / scale, dtype=np.float64)
+    return np.asarray((r.values[test, 0] - columns @ beta) / slopes[test], dtype=np.float64)
 
 
 def _errors_of(r: Responses, accepted: Sequence[Candidate], elsewhere: Model, test: Intp) -> FloatArray:
     """Return the same of a model that was fitted elsewhere, its effects given in all poses."""
     beta = elsewhere.fitted.beta
-    return errors_deg(*linear_about(r, accepted, elsewhere), beta, test, scale_of_errors(r, accepted, beta))
+    return errors_deg(*linear_about(r, accepted, elsewhere), beta, test, slopes_of_errors(r, accepted, beta))
 
 
 def _line(r: Responses) -> FloatArray:
@@ -349,7 +349,7 @@ def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatA
         seen, shown = r.rows(train), _shown(r, accepted, train)
         if not accepted:
             line = _line(seen)
-            errors[test] = errors_deg(r, (), line, test, fitted_scale(r, line))
+            errors[test] = errors_deg(r, (), line, test, slopes_of_errors(r, (), line))
             continue
         model = fitted_model(seen, [c.rows(train) for c in shown])
         errors[test] = _errors_of(r, shown, model, test)

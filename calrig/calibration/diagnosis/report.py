@@ -28,7 +28,13 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.diagnosis.candidate_fits import slope
-from calrig.calibration.diagnosis.candidates import Candidate, documented_forms, own_columns, rebuilt
+from calrig.calibration.diagnosis.candidates import (
+    Candidate,
+    documented_forms,
+    model_columns,
+    own_columns,
+    rebuilt,
+)
 from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
@@ -38,13 +44,13 @@ from calrig.calibration.effects.unnamed import maximum_words
 from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import ANGLE, CHANNELS, READING, SCALE_UNIT_DEG
-from calrig.calibration.regression.effect import ELEVATION, Scope, Shape
+from calrig.calibration.regression.effect import ELEVATION, Circumstances, Scope, Shape
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
 from calrig.calibration.regression.run_changes import in_words
 from calrig.calibration.regression.terms import less_line, size_deg
-from calrig.calibration.results.correction import numbers_of
+from calrig.calibration.results.correction import DERIVATIVE_STEP_DEG, numbers_of, slope_of_reading
 from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
@@ -360,7 +366,7 @@ def drawn_residuals(
     reading_deg = r.theta_deg + r.values[:, 0]
     line = fit_line(r.theta_deg, reading_deg)
     before_deg = residuals_deg(r.theta_deg, reading_deg, line.bias_deg, line.scale)
-    after_deg = fitted.residuals[:, 0] / scale_of_errors(r, chosen, fitted.beta)
+    after_deg = fitted.residuals[:, 0] / slopes_of_errors(r, chosen, fitted.beta)
     partial = []
     for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
         at = _column(r, candidate.covariate)
@@ -378,21 +384,45 @@ def fitted_scale(r: Responses, beta: FloatArray) -> float:
     return 1.0 + float(beta[names.index(SCALE)]) / SCALE_UNIT_DEG if SCALE in names else 1.0
 
 
-CURVES = ("nonlinearity", UNNAMED)
-"""Effects that, of the angle, may have a slope of their own along the whole range."""
+def slopes_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> FloatArray:
+    """Return (n,) what errors of the readings are divided by, for degrees of elevation, in a model fitted.
 
+    It is the unit's slope at each pose: its scale, and how its own effects change with the elevation. Beside
+    a curve that is not the unit's the model's scale is the slope at 0°, where perhaps no pose lies: the mean
+    slope, that of bias and scale alone, takes its place; so too where the unit's curves turn the slope round.
 
-def scale_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> float:
-    """Return what errors of the reading are divided by, for degrees of elevation, in a model fitted (p,).
-
-    Beside a curve of the angle the model's own scale is the slope at 0°, where perhaps no pose lies: there it
-    is that of bias and scale alone, the mean slope.
+    Args:
+        r: the poses.
+        accepted: the effects of the model.
+        beta: (p,) its coefficients.
     """
-    if any(c.name in CURVES and c.covariate == ELEVATION.name for c in accepted):
-        line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
-        if line.follows and line.scale is not None:
-            return line.scale
-    return fitted_scale(r, beta)
+    members = [member for candidate in accepted for member in candidate.members]
+    of_unit = [m.effect.scope == "unit" or m.is_of_sensor(r) or m.is_smooth_of_sensor(r) for m in members]
+    scale = mean = fitted_scale(r, beta)
+    line = fit_line(r.theta_deg, r.theta_deg + r.values[:, 0])
+    if line.follows and line.scale is not None:
+        mean = line.scale
+        curves = [not m.named and m.covariate == ELEVATION.name for m in members]
+        if any(is_curve and not own for is_curve, own in zip(curves, of_unit, strict=True)):
+            scale = mean
+    curved, others = np.zeros(len(r)), []
+    columns = model_columns(r, accepted)
+    for member, own, at in zip(members, of_unit, own_columns(columns, members), strict=True):
+        at_elevation = member.shape.at_elevation
+        if not own or member.changed is not None:
+            continue
+        if at_elevation is not None:
+            ahead, behind = (
+                at_elevation(r.theta_deg + side).reshape(len(r), -1) @ beta[at]
+                for side in (DERIVATIVE_STEP_DEG, -DERIVATIVE_STEP_DEG)
+            )
+            curved += (ahead - behind) / (2.0 * DERIVATIVE_STEP_DEG)
+        elif member.named:
+            stated = member.effect.documented(member.shape, beta[at], np.zeros((at.stop - at.start,) * 2))
+            others.append((member.name, numbers_of(stated)))
+    bias_deg = float(beta[r.base_names.index(f"{READING}.bias")])
+    slope = slope_of_reading(r.theta_deg, bias_deg, scale, others, Circumstances.of(r)) + curved
+    return np.where(slope * mean > 0.0, slope, mean)
 
 
 def likeliest_forms(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:

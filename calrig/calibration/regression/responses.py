@@ -233,7 +233,9 @@ def responses_of(
     is_far = np.abs(reading - theta) > 180.0
     if is_far.any():
         which = "all" if is_far.all() else "some"
-        warnings.append(f"{which} readings are a whole turn away from the stage: they were taken on its turn")
+        warnings.append(
+            f"{which} readings are more than half a turn away from the stage: they were taken less whole turns"
+        )
     move = np.nan_to_num(np.concatenate([moves_deg(run) for run in kept]))
     table = Channels(theta, move, starts, run_index)
     error = reading_error_deg(theta, reading)
