@@ -8,7 +8,7 @@ added to it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -162,7 +162,8 @@ class Problem:
     Attributes:
         raw_g: (n, 3) measured.
         base: (n, 3, 6) what offset and factor of each axis add to `true`.
-        columns: (n, 3, 3) of every effect that the log has a covariate for.
+        columns: (n, 3, 3) of every effect that the log has a covariate for; 0 for pairs of axes whose
+            misalignment these poses do not determine.
     """
 
     raw_g: FloatArray
@@ -176,7 +177,8 @@ class Problem:
         ones = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
         base = np.concatenate([ones, raw[:, :, None] * np.eye(3)], axis=2)
         columns = {effect.name: effect.columns(poses) for effect in EFFECTS}
-        return cls(raw, base, {name: column for name, column in columns.items() if column is not None})
+        known = {name: column for name, column in columns.items() if column is not None}
+        return cls(raw, base, known).sighted()
 
     def __len__(self) -> int:
         return len(self.raw_g)
@@ -185,6 +187,27 @@ class Problem:
         """Some of the poses, their covariates measured from the same reference."""
         columns = {name: column[chosen] for name, column in self.columns.items()}
         return Problem(self.raw_g[chosen], self.base[chosen], columns)
+
+    @property
+    def undetermined_pairs(self) -> list[str]:
+        """Pairs of axes whose misalignment these poses do not determine, such as `xy`."""
+        pairs = zip(PAIRS, self.columns[MISALIGNMENT].any(axis=(0, 1)), strict=True)
+        return [pair for pair, is_seen in pairs if not is_seen]
+
+    def sighted(self) -> Problem:
+        """The same without what these poses do not determine, as some of other poses may not."""
+        columns = self.columns[MISALIGNMENT]
+        _, seen = linearised(self.raw_g, np.concatenate([self.base, columns], axis=2), np.zeros(BASE))
+        basis, _ = np.linalg.qr(seen[:, :BASE])
+        left = seen[:, BASE:] - basis @ (basis.T @ seen[:, BASE:])
+        _, values, vectors = np.linalg.svd(left, full_matrices=len(left) < len(PAIRS))
+        values = np.concatenate([values, np.zeros(len(PAIRS) - len(values))]) / np.sqrt(len(self))
+        blind = (vectors[values < LEAST_SIGHT_OF_A_PAIR] ** 2).sum(axis=0) > BLIND_SHARE
+        return replace(self, columns={**self.columns, MISALIGNMENT: np.where(blind, 0.0, columns)})
+
+    def shows(self, effect: GravityEffect) -> bool:
+        """Whether these poses determine some of an effect's parameters."""
+        return effect.name in self.columns and bool(self.columns[effect.name].any())
 
     def design(self, effects: Sequence[GravityEffect]) -> FloatArray:
         """(n, 3, 6 + 3k) what each coefficient of a model adds to `true`."""
@@ -232,7 +255,7 @@ class GravityFit:
 
         The residual variance is itself an estimate, of n − p degrees of freedom.
         """
-        n, p = self.jacobian.shape
+        n, p = len(self.jacobian), int(self.jacobian.any(axis=0).sum())
         variance = float(self.residual_g @ self.residual_g) / max(n - p - 2, 1)
         return np.asarray(variance * np.linalg.pinv(self.jacobian.T @ self.jacobian), dtype=np.float64)
 
@@ -259,13 +282,18 @@ class GravityFit:
         return np.asarray(np.sqrt(np.diag(self.covariance)[3:BASE]) * self.gain**2, dtype=np.float64)
 
     def parameters(self, effect: GravityEffect, poses: StaticPoses) -> tuple[FloatArray, FloatArray]:
-        """(3,) values and (3,) standard errors of an effect of the model, in the units of their names."""
+        """(3,) values and (3,) standard errors of an effect of the model, in the units of their names.
+
+        NaN where the poses do not determine one.
+        """
         at = self._place(effect.name)
         if at is None:
             raise ValueError(f"{effect.name} is not in the model")
-        std = np.sqrt(np.diag(self.covariance)[at])
+        is_seen = self.jacobian[:, at].any(axis=0)
+        std = np.sqrt(np.where(is_seen, np.diag(self.covariance)[at], np.nan))
         diagonal = np.diag(self.matrix)
-        return effect.reported(self.beta[at], diagonal, poses), np.abs(effect.reported(std, diagonal, poses))
+        values = np.where(is_seen, self.beta[at], np.nan)
+        return effect.reported(values, diagonal, poses), np.abs(effect.reported(std, diagonal, poses))
 
     def _place(self, name: str) -> slice | None:
         for k, effect in enumerate(self.effects):
@@ -318,18 +346,6 @@ def undetermined_base(poses: StaticPoses) -> list[str]:
     return [name for name, share in zip(names, blind, strict=True) if share > BLIND_SHARE]
 
 
-def undetermined_pairs(problem: Problem, base: GravityFit) -> list[str]:
-    """Pairs of axes whose misalignment these poses do not determine, such as `xy`."""
-    columns = problem.design([e for e in EFFECTS if e.name == MISALIGNMENT])
-    _, seen = linearised(problem.raw_g, columns, base.beta)
-    basis, _ = np.linalg.qr(base.jacobian)
-    left = seen[:, BASE:] - basis @ (basis.T @ seen[:, BASE:])
-    _, values, vectors = np.linalg.svd(left, full_matrices=len(left) < len(PAIRS))
-    values = np.concatenate([values, np.zeros(3 - len(values))]) / np.sqrt(len(problem))
-    blind = (vectors[values < LEAST_SIGHT_OF_A_PAIR] ** 2).sum(axis=0)
-    return [pair for pair, share in zip(PAIRS, blind, strict=True) if share > BLIND_SHARE]
-
-
 def largest_model(problem: Problem) -> tuple[GravityEffect, ...]:
     """Return the effects with which these poses are compared with one another: all that they determine.
 
@@ -339,9 +355,8 @@ def largest_model(problem: Problem) -> tuple[GravityEffect, ...]:
     effects: list[GravityEffect] = []
     for effect in EFFECTS:
         p = BASE + 3 * len(effects) + 3
-        is_seen = effect.name != MISALIGNMENT or not undetermined_pairs(problem, fit_gravity(problem))
         enough = p + FREEDOM_TO_JUDGE if effect.name == MISALIGNMENT else 2 * p
-        if effect.name in problem.columns and len(problem) >= enough and is_seen:
+        if problem.shows(effect) and len(problem) >= enough:
             effects.append(effect)
     return tuple(effects)
 

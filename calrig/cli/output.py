@@ -428,7 +428,7 @@ def print_gravity(found: dict[str, Any]) -> None:
         (name.removesuffix("_mrad"), *_with_error(value, std), *_with_error(*_in_deg(value, std)))
         for effect in found["effects"]
         for name, value, std in ((name, *one.values()) for name, one in effect["parameters"].items())
-        if name.endswith("_mrad")
+        if name.endswith("_mrad") and value is not None
     ]
     if angles:
         print_table(("misalignment", "mrad", "±", "°", "±"), angles)

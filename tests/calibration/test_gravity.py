@@ -367,6 +367,30 @@ def test_six_faces_show_no_misalignment_and_it_is_said():
     assert "misalignment xy, xz, yz cannot be seen" in document["warnings"][0]
 
 
+def test_axes_that_are_not_square_are_found_where_the_poses_show_only_some_pairs():
+    """Turned from z to x and from z to y, never from x to y: an independent fit has xz and yz alone."""
+    rng = np.random.default_rng(1)
+    turns = np.radians(np.arange(0.0, 360.0, 30.0))
+    across = np.stack([np.sin(turns), 0.0 * turns, np.cos(turns)], axis=1)
+    poses = poses_of(np.vstack([across, across[:, [1, 0, 2]]]), rng, matrix=MATRIX)
+
+    gravity = trace_gravity(poses)
+    document = gravity_document(gravity)
+
+    def left_g(x):
+        matrix = np.array([[x[3], 0.0, x[6]], [0.0, x[4], x[7]], [0.0, 0.0, x[5]]])
+        return np.linalg.norm((poses.accel_g - x[:3]) @ matrix.T, axis=1) - 1.0
+
+    fitted = least_squares(left_g, [0.0] * 3 + [1.0] * 3 + [0.0] * 2).x
+    assert [effect["name"] for effect in document["effects"]] == ["misalignment"]
+    parameters = document["effects"][0]["parameters"]
+    assert parameters["xy_mrad"] == {"value": None, "std": None}
+    for name, factor in (("xz_mrad", 6), ("yz_mrad", 7)):
+        assert parameters[name]["value"] == pytest.approx(1e3 * fitted[factor] / fitted[5], abs=1e-4)
+        assert abs(parameters[name]["value"]) > 4.0 * parameters[name]["std"]
+    assert "misalignment xy cannot be seen" in " ".join(document["warnings"])
+
+
 @pytest.mark.parametrize(
     ("accel_g", "says"),
     [

@@ -252,6 +252,21 @@ def harmonics_of(r: Responses, accepted: Sequence[Candidate]) -> list[Candidate]
     return found
 
 
+def orders_beside(
+    r: Responses, candidates: Sequence[Candidate], accepted: Sequence[Candidate]
+) -> list[Candidate]:
+    """Return the first orders of the turn beside those in a model as one, so many and more.
+
+    Where none is in it, the candidates have them.
+    """
+    if all(c.shape.series != THE_TURN for c in accepted) or not goes_round(r):
+        return []
+    orders = [c for c in candidates if c.shape.series == THE_TURN and c.beside is None and c.changed is None]
+    present = {c.label for c in accepted if not c.shape.at}
+    left = [c for c in orders if c.label not in present and all(c.is_distinct(r, o) for o in accepted)]
+    return _series(r, left)
+
+
 def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate]:
     """A level that changes and comes back, or changes between all runs: each change alone explains little.
 

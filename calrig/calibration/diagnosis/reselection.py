@@ -15,7 +15,13 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidates import Candidate, at_its_elevations, harmonics_of, own_columns
+from calrig.calibration.diagnosis.candidates import (
+    Candidate,
+    at_its_elevations,
+    harmonics_of,
+    orders_beside,
+    own_columns,
+)
 from calrig.calibration.diagnosis.ranking import (
     MARGIN,
     SelectedEffect,
@@ -28,7 +34,6 @@ from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.regression.channels import READING
 from calrig.calibration.regression.effect import HIDDEN, Parameters
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import THE_TURN
 from calrig.estimation.angles import FloatArray
 
 HOPELESS = 80.0
@@ -173,8 +178,10 @@ def offered(
         if c.columns.shape[2] > room:
             return False
         if c.beside is not None:
-            if c.shape.series not in ("", THE_TURN):  # its terms may be in the model one by one
-                return all(one.is_distinct(r, other) for one in c.members for other in accepted)
+            if c.shape.series:  # other terms of it may be in the model
+                return not any(one.label in once for one in c.members) and all(
+                    one.is_distinct(r, other) for one in c.members for other in accepted
+                )
             return not any(one.label in once or one.name in always for one in c.members)
         if c.shape.beside and not followed.issuperset(c.shape.beside):
             return False
@@ -182,7 +189,7 @@ def offered(
             return False
         return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
-    every = [*candidates, *harmonics_of(r, accepted)]
+    every = [*candidates, *harmonics_of(r, accepted), *orders_beside(r, candidates, accepted)]
     allowed = [c for c in every if c.label not in refused and wanted(c) and may_enter(c)]
     return [at_its_elevations(r, c) for c in allowed] if r.is_delayed else allowed
 

@@ -234,7 +234,7 @@ def responses_of(
     if is_far.any():
         which = "all" if is_far.all() else "some"
         warnings.append(
-            f"{which} readings are more than half a turn away from the stage: they were taken less whole turns"
+            f"{which} readings are over half a turn away from the stage: they were taken less whole turns"
         )
     move = np.nan_to_num(np.concatenate([moves_deg(run) for run in kept]))
     table = Channels(theta, move, starts, run_index)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from calrig.calibration.diagnosis.ranking import MARGIN
 from calrig.calibration.gravity_fit import (
     EFFECTS,
     FEWEST_POSES,
-    MISALIGNMENT,
     GravityEffect,
     GravityFit,
     Problem,
@@ -26,7 +26,6 @@ from calrig.calibration.gravity_fit import (
     fit_gravity,
     linearised,
     undetermined_base,
-    undetermined_pairs,
 )
 from calrig.calibration.line import rms
 from calrig.calibration.static_detector import outlier_limit, static_poses
@@ -95,8 +94,8 @@ def search(
     """Add effects to a fit of bias and scale one by one, until no candidate is significant."""
     found: list[FoundEffect] = []
     fitted = base
-    blind = undetermined_pairs(problem, base)
-    offered = [e for e in EFFECTS if e.name in problem.columns and (e.name != MISALIGNMENT or not blind)]
+    problem = problem.sighted()
+    offered = [effect for effect in EFFECTS if problem.shows(effect)]
     while offered and len(problem) >= poses_needed(fitted):
         ratios, p_value = _gate(problem, fitted, offered, rng, bootstraps)
         if p_value > LEVEL:
@@ -335,7 +334,7 @@ def _effect_document(gravity: Gravity, found: FoundEffect) -> dict[str, Any]:
     effect, poses = found.effect, gravity.poses
     values, stds = gravity.final.parameters(effect, poses)
     parameters: dict[str, dict[str, float | None]] = {
-        name: {"value": float(value), "std": float(std)}
+        name: {"value": None if isnan(value) else float(value), "std": None if isnan(std) else float(std)}
         for name, value, std in zip(effect.parameters, values, stds, strict=True)
     }
     parameters |= {name: {"value": value, "std": None} for name, value in effect.reference(poses).items()}
@@ -375,7 +374,7 @@ def _refuse_what_determines_nothing(poses: StaticPoses) -> None:
 
 def _undetermined(problem: Problem, base: GravityFit) -> list[str]:
     """Return sentences on what these poses cannot show."""
-    pairs = undetermined_pairs(problem, base)
+    pairs = problem.undetermined_pairs
     said = []
     if pairs:
         said.append(
