@@ -191,8 +191,8 @@ class Problem:
     @property
     def undetermined_pairs(self) -> list[str]:
         """Pairs of axes whose misalignment these poses do not determine, such as `xy`."""
-        pairs = zip(PAIRS, self.columns[MISALIGNMENT].any(axis=(0, 1)), strict=True)
-        return [pair for pair, is_seen in pairs if not is_seen]
+        is_there = np.abs(self.columns[MISALIGNMENT]).max(axis=(0, 1)) > 0.0
+        return [pair for pair, is_seen in zip(PAIRS, is_there, strict=True) if not is_seen]
 
     def sighted(self) -> Problem:
         """The same without what these poses do not determine, as some of other poses may not."""

@@ -23,25 +23,42 @@ def found_in(poses, *, cross_fit=False):
     return document(diagnose([poses], bootstraps=199, cross_fit=cross_fit), ["1"])
 
 
-def test_at_one_speed_a_delay_and_a_backlash_are_both_said_and_nothing_settled():
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_at_one_speed_a_delay_and_a_backlash_are_both_said_and_nothing_settled(sense):
     time_s = np.arange(0.0, 121.0)
     late_deg = strokes_deg(time_s - 0.2, 60.0, 4.0)
     noise_deg = np.random.default_rng(0).normal(0.0, 0.02, len(time_s))
-    poses = posed(target_deg=strokes_deg(time_s, 60.0, 4.0), reading_deg=late_deg + noise_deg, time_s=time_s)
+    reading_deg = sense * (late_deg + noise_deg)
+    poses = posed(target_deg=strokes_deg(time_s, 60.0, 4.0), reading_deg=reading_deg, time_s=time_s)
     (effect,) = found_in(poses)["effects"]
     assert (effect["name"], effect["verdict"]) == ("latency", "ambiguous")
     assert effect["confusable_with"] == ["backlash"]
     assert effect["parameters"]["delay_s"]["value"] == pytest.approx(0.2, rel=0.05)
 
 
-def test_a_delay_at_speeds_that_differ_stands_alone():
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_delay_at_speeds_that_differ_stands_alone(sense):
     time_s = np.arange(0.0, 60.0, 0.4)
     there_deg = [60.0 * np.sin(0.5 * at) + 10.0 * np.sin(1.7 * at) for at in (time_s, time_s - 0.05)]
     noise_deg = np.random.default_rng(1).normal(0.0, 0.05, len(time_s))
-    poses = posed(target_deg=there_deg[0], reading_deg=0.3 + there_deg[1] + noise_deg, time_s=time_s)
+    reading_deg = sense * (0.3 + there_deg[1] + noise_deg)
+    poses = posed(target_deg=there_deg[0], reading_deg=reading_deg, time_s=time_s)
     (effect,) = found_in(poses)["effects"]
     assert (effect["name"], effect["verdict"]) == ("latency", "named")
     assert effect["parameters"]["delay_s"]["value"] == pytest.approx(0.05, rel=0.05)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_move_that_has_not_settled_is_that_of_a_sensor_that_counts_either_way(sense):
+    rng = np.random.default_rng(2)
+    theta_deg = rng.uniform(-80.0, 80.0, 80)
+    short_deg = 0.01 * np.diff(theta_deg, prepend=theta_deg[0])
+    reading_deg = sense * (theta_deg - short_deg + rng.normal(0.0, 0.05, 80))
+    (effect,) = found_in(posed(target_deg=theta_deg, reading_deg=reading_deg, time_s=5.0 * np.arange(80.0)))[
+        "effects"
+    ]
+    assert (effect["name"], effect["verdict"]) == ("settling", "named")
+    assert effect["parameters"]["fraction"]["value"] == pytest.approx(0.01, rel=0.1)
 
 
 DELAY_S, ORDER_2_DEG, NOISE_DEG = 0.035, 8.0, 0.05

@@ -32,7 +32,7 @@ from calrig.calibration.diagnosis.ranking import (
 from calrig.calibration.diagnosis.screen import Screen
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.regression.channels import READING
-from calrig.calibration.regression.effect import HIDDEN, Parameters
+from calrig.calibration.regression.effect import ELEVATION, HIDDEN, Parameters
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
 
@@ -189,7 +189,7 @@ def offered(
             return False
         return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
 
-    every = [*candidates, *harmonics_of(r, accepted), *orders_beside(r, candidates, accepted)]
+    every = [*candidates, *harmonics_of(r, accepted)]
     allowed = [c for c in every if c.label not in refused and wanted(c) and may_enter(c)]
     return [at_its_elevations(r, c) for c in allowed] if r.is_delayed else allowed
 
@@ -283,7 +283,8 @@ def _against_rivals(
             return False
         return c.beside is None or c.shape.series != "" or (_brings(c, one) and not is_on_trial(c))
 
-    rivals = offered(model.responses, candidates, others, set(), competes)
+    orders = orders_beside(r, candidates, others) if its == ELEVATION.name and not one.candidate.named else ()
+    rivals = offered(model.responses, [*candidates, *orders], others, set(), competes)
     if not rivals:
         return found
     ratios = Screen(r, model.columns, rivals, model.fitted.noise).once(model.fitted.residuals)

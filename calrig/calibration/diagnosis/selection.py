@@ -23,6 +23,7 @@ from calrig.calibration.diagnosis.candidates import (
     at_its_elevations,
     companions_of,
     model_columns,
+    orders_beside,
 )
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
 from calrig.calibration.diagnosis.outliers import most_outliers, outliers
@@ -39,6 +40,7 @@ from calrig.calibration.diagnosis.reselection import (
     reselected,
     with_known_places,
 )
+from calrig.calibration.diagnosis.screen import Float32Array
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.diagnosis.significance_test import (
     ModelKey,
@@ -137,9 +139,10 @@ def masked_pair(
     r: Responses, model: Model, verdict: Verdict, judged: Callable[[Model], Verdict]
 ) -> list[SelectedEffect]:
     """Return two effects that mask each other: each alone leaves the other, which looks like slow noise."""
-    if model.fitted.noise.rho.max() < STRONG_RHO or not verdict.candidates:
+    few, ratios = _without_series(verdict)
+    if model.fitted.noise.rho.max() < STRONG_RHO or not few:
         return []
-    first = named(r, model.accepted, verdict.candidates, verdict.ratios, verdict.p_value)
+    first = named(r, model.accepted, few, ratios, verdict.p_value)
     return tested_pair(r, model, first, judged)
 
 
@@ -152,9 +155,10 @@ def tested_pair(
     """
     beside = [*model.accepted, first.candidate]
     of_second = judged(fitted_model(r, beside))
-    if not of_second.passes:
+    few, ratios = _without_series(of_second)
+    if not of_second.passes or not few:
         return []
-    second = named(r, beside, of_second.candidates, of_second.ratios, of_second.p_value)
+    second = named(r, beside, few, ratios, of_second.p_value)
     with_second = [*model.accepted, second.candidate]
     worth = is_practically_significant(r, beside, second) and is_practically_significant(
         r, with_second, first
@@ -166,6 +170,12 @@ def tested_pair(
         return []
     both = (replace(first, p_value=of_first.p_value), second)
     return [replace(one, candidate=member) for one in both for member in one.candidate.members]
+
+
+def _without_series(verdict: Verdict) -> tuple[list[Candidate], Float32Array]:
+    """Return the candidates that were judged, and their ratios, without those that are many terms as one."""
+    few = [k for k, c in enumerate(verdict.candidates) if c.beside is None or not c.shape.series]
+    return [verdict.candidates[k] for k in few], verdict.ratios[few]
 
 
 def simplest(
@@ -391,8 +401,10 @@ class _Judge:
             return model_columns(model.responses, [*model.accepted, *more])
 
         seen, key = model.responses, model_of(model.responses, model.accepted)
+        orders = orders_beside(seen, self.candidates, model.accepted)
         if earlier is None:
-            those, trial = offered(seen, self.candidates, model.accepted, self.refused), None
+            those = offered(seen, [*self.candidates, *orders], model.accepted, self.refused)
+            trial = None
         else:
             those, trial = [c for c in earlier.candidates if c.label not in self.refused], earlier.trial
         verdict = self.judge(
@@ -400,7 +412,7 @@ class _Judge:
             columns_with,
             model.fitted,
             those,
-            companions=companions_of(model.accepted),
+            companions=companions_of(model.accepted) | {c.label for c in orders},
             known=self.noises.get(key),
             earlier=trial,
         )

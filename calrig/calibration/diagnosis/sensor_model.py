@@ -286,7 +286,7 @@ def is_shift_seen(r: Responses, accepted: Sequence[Candidate], shifting: Candida
         return False
     model = [*accepted, shifting]
     fitted = fitted_model(r, model).fitted
-    there = r.theta_deg + parts_deg(r, model, fitted.beta)[-1]
+    there = r.theta_deg + r.sense * parts_deg(r, model, fitted.beta)[-1]
     members = [m for c in model for m in c.members]
     change_deg = np.zeros(len(r))
     for member, at in zip(members, own_columns(model_columns(r, model), members), strict=True):

@@ -56,7 +56,7 @@ def _scan(r: Responses) -> Iterator[Parameters]:
         yield {}
         return
     beside = np.column_stack([np.ones(len(r)), r.theta_deg, r.motion.velocity_dps])
-    delay_s = -float(np.linalg.lstsq(beside, r.values[:, 0], rcond=None)[0][2])
+    delay_s = -r.sense * float(np.linalg.lstsq(beside, r.values[:, 0], rcond=None)[0][2])
     for factor in AS_SCANNED:
         yield {"over_s": float(delay_s * factor)}
 
@@ -70,11 +70,11 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if r.motion is not None and r.motion.has_paths:
         lag_s = at.get("over_s", at.get("delay_s", 0.0))
         velocity, here = r.motion.mean_dps(lag_s), {"over_s": lag_s}
-    yield Shape(tilted(-velocity), ("delay_s",), form="all", at=here, alike=alike, claimed_first=True)
+    late = tilted(-velocity, r.sense)
+    yield Shape(late, ("delay_s",), form="all", at=here, alike=alike, claimed_first=True)
     if ANGLE in r.channels:
-        yield Shape(
-            {READING: -velocity}, ("delay_s",), form="filter", at=here, alike=alike, claimed_first=True
-        )
+        of_filter = {READING: late[READING]}
+        yield Shape(of_filter, ("delay_s",), form="filter", at=here, alike=alike, claimed_first=True)
 
 
 def _late_by_deg(r: Responses, delay_s: float) -> FloatArray:

@@ -44,19 +44,19 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     if not r.settled.all():  # of a sweep a few dwells alone had to settle
         if r.time_s is not None and "lag_s" in at:
             lags = behind(r.time_s, r.theta_deg, r.stretch_deg, r.starts, at["lag_s"])
-            shares = {**tilted(-lags.mean_deg), MOVE: -lags.grown_deg}
+            shares = {**tilted(-lags.mean_deg, r.sense), MOVE: -lags.grown_deg}
             yield Shape(
                 shares, ("fraction",), form="behind", at={"lag_s": at["lag_s"]}, scanned=True, place_cost=1
             )
         return
-    yield Shape({READING: -r.move_deg}, ("fraction",), form="filter")
+    yield Shape({READING: -r.sense * r.move_deg}, ("fraction",), form="filter")
     if ANGLE not in r.channels:
         return
     moves_before = np.roll(r.move_deg, 1)
     moves_before[r.starts] = 0.0
     for share in LEFT_AT_THE_END if MOVE in r.channels else (0.0,):
         # what is missing when the dwell begins goes with the move itself: the gain of the gyro's base has it
-        shares = {**tilted(-r.move_deg), MOVE: share * moves_before}
+        shares = {**tilted(-r.move_deg, r.sense), MOVE: share * moves_before}
         yield Shape(shares, ("fraction",), form=f"creep, {share:g} left")
 
 

@@ -98,6 +98,7 @@ class Responses:
         known_periods_deg: of the axis, that somebody knows (`DiagnosisRequest`).
         reference_is_good: whether θ is free of error, so that curves of it are the sensor's.
         arc_deg: that the elevations span.
+        sense: +1, or −1 where the readings fall while the elevation rises.
         is_delayed: whether `theta_deg` are the elevations that late readings stand for.
     """
 
@@ -127,9 +128,13 @@ class Responses:
     reference_is_good: bool = False
     is_delayed: bool = False
     arc_deg: float = field(init=False)
+    sense: float = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arc_deg", float(np.ptp(self.theta_deg)))
+        beside_mean_deg = self.theta_deg - self.theta_deg.mean()
+        rises = beside_mean_deg @ (self.theta_deg + self.values[:, 0]) >= 0.0
+        object.__setattr__(self, "sense", 1.0 if rises else -1.0)
 
     def __len__(self) -> int:
         return len(self.theta_deg)
@@ -230,15 +235,13 @@ def responses_of(
     refuse_what_is_no_elevation(theta, reading)
     for run in kept:
         refuse_what_is_on_its_way(*np.array([(pose.theta_deg, pose.reading_deg) for pose in run]).T)
-    is_far = np.abs(reading - theta) > 180.0
-    if is_far.any():
-        which = "all" if is_far.all() else "some"
-        warnings.append(
-            f"{which} readings are over half a turn away from the stage: they were taken less whole turns"
-        )
     move = np.nan_to_num(np.concatenate([moves_deg(run) for run in kept]))
     table = Channels(theta, move, starts, run_index)
     error = reading_error_deg(theta, reading)
+    is_turned = np.abs(theta + error - reading) > 180.0
+    if is_turned.any():
+        which = "all" if is_turned.all() else "some"
+        warnings.append(f"{which} readings were taken on another turn, on which they follow the stage")
     table.add(READING, error, turn_size(theta, reading), bias_each_run=False, scaled=True)
     add_witnesses(table, poses, theta, move, starts)
     if has_history(poses):

@@ -53,9 +53,12 @@ def turned(r: Responses, f: FloatArray) -> dict[str, FloatArray]:
     return {READING: f, ANGLE: f, MOVE: r.steps(f)}
 
 
-def tilted(f: FloatArray) -> dict[str, FloatArray]:
-    """Return what changes the angle too slowly or too seldom for the gyro, or inside the accelerometer."""
-    return {READING: f, ANGLE: f}
+def tilted(f: FloatArray, sense: float = 1.0) -> dict[str, FloatArray]:
+    """Return what changes the angle too slowly or too seldom for the gyro, or inside the accelerometer.
+
+    With the `sense` of the readings it is in the sense of the elevation, and they may fall while that rises.
+    """
+    return {READING: sense * f, ANGLE: f}
 
 
 def turns(r: Responses) -> bool:
