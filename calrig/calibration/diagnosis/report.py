@@ -281,7 +281,8 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
             said.append(f"indistinguishable from {names} by these poses: {apart}")
         else:
             said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
-            if not witnesses and candidate.effect.origin == "stage" and candidate.covariate == "target_deg":
+            is_of_stage = candidate.effect.origin == "stage" and not candidate.is_of_sensor(r)
+            if not witnesses and is_of_stage and candidate.covariate == "target_deg":
                 said.append("no witness was read: an error of the unit itself of this shape looks the same")
     return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]
 
