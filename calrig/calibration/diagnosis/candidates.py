@@ -259,12 +259,18 @@ def orders_beside(
 
     Where none is in it, the candidates have them.
     """
-    if all(c.shape.series != THE_TURN for c in accepted) or not goes_round(r):
+    if not any(c.shape.series == THE_TURN for c in accepted) or not goes_round(r):
         return []
     orders = [c for c in candidates if c.shape.series == THE_TURN and c.beside is None and c.changed is None]
     present = {c.label for c in accepted if not c.shape.at}
     left = [c for c in orders if c.label not in present and all(c.is_distinct(r, o) for o in accepted)]
     return _series(r, left)
+
+
+def is_order_beside(candidate: Candidate, accepted: Sequence[Candidate]) -> bool:
+    """Return whether a candidate is several orders of the turn as one, beside others in a model."""
+    is_several = candidate.beside is not None and candidate.shape.series == THE_TURN
+    return is_several and any(c.shape.series == THE_TURN for c in accepted)
 
 
 def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate]:

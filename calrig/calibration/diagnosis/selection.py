@@ -22,6 +22,7 @@ from calrig.calibration.diagnosis.candidates import (
     Candidate,
     at_its_elevations,
     companions_of,
+    is_order_beside,
     model_columns,
     orders_beside,
 )
@@ -132,7 +133,11 @@ def forward_step(
             0.0,
         )
     members = needed_terms(r, accepted, members)
-    return [replace(best, candidate=member) for member in members]
+    entering = [replace(best, candidate=member) for member in members]
+    if len(entering) == 1 and is_order_beside(best.candidate, accepted):
+        # that some of the orders are there is significant: this one has to be certain by itself
+        return entering if is_practically_significant(r, accepted, entering[0]) else []
+    return entering
 
 
 def masked_pair(
@@ -402,6 +407,8 @@ class _Judge:
 
         seen, key = model.responses, model_of(model.responses, model.accepted)
         orders = orders_beside(seen, self.candidates, model.accepted)
+        if any(c.label in self.refused for c in orders):  # fewer of them say no more
+            self.refused.update(c.label for c in orders)
         if earlier is None:
             those = offered(seen, [*self.candidates, *orders], model.accepted, self.refused)
             trial = None
