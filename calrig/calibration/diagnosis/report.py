@@ -44,7 +44,7 @@ from calrig.calibration.effects.unnamed import maximum_words
 from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import ANGLE, CHANNELS, READING, SCALE_UNIT_DEG
-from calrig.calibration.regression.effect import ELEVATION, Circumstances, Scope, Shape
+from calrig.calibration.regression.effect import ELEVATION, LAST_MOVE, Circumstances, Scope, Shape
 from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
@@ -418,7 +418,7 @@ def slopes_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArr
                 for side in (DERIVATIVE_STEP_DEG, -DERIVATIVE_STEP_DEG)
             )
             curved += (ahead - behind) / (2.0 * DERIVATIVE_STEP_DEG)
-        elif member.named:
+        elif member.named and member.covariate != LAST_MOVE.name:  # a move says nothing of where it ends
             stated = member.effect.documented(member.shape, beta[at], np.zeros((at.stop - at.start,) * 2))
             others.append((member.name, numbers_of(stated)))
     bias_deg = float(beta[r.base_names.index(f"{READING}.bias")])
