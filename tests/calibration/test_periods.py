@@ -15,6 +15,7 @@ from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.effects import EFFECTS
 from calrig.calibration.effects.stage_periodic import window_peaks
 from calrig.calibration.packed_poses import packed
+from calrig.calibration.regression.request import DiagnosisRequest
 from calrig.calibration.regression.responses import responses_of
 from calrig.estimation.angles import wrap_deg
 
@@ -274,3 +275,21 @@ def test_poses_of_many_turns_at_the_same_few_degrees_carry_no_order_of_the_turn(
     found = diagnose([run], bootstraps=199, cross_fit=False).findings.found
     assert {f.candidate.covariate for f in found} == {"target_deg"}
     assert not any(f.candidate.named for f in found)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 7])
+def test_orders_of_a_closed_turn_are_not_one_curve_beside_other_orders(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    theta_deg = np.sort(rng.uniform(0.0, 360.0, 200))
+    orders = {1: (0.05, 4.71), 3: (0.08, 1.53), 4: (0.025, 5.08), 14: (0.17, 3.18)}
+    readings_deg = theta_deg + 3.0 + rng.normal(0.0, 0.015, 200)
+    for order, (size_deg, phase) in orders.items():
+        readings_deg += size_deg * np.sin(np.radians(order * theta_deg) + phase)
+    found = diagnose(
+        [posed(target_deg=theta_deg, reading_deg=readings_deg)],
+        request=DiagnosisRequest("good"),
+        cross_fit=False,
+    ).findings.found
+    assert all(f.candidate.named for f in found)
+    named = sorted(360.0 / f.candidate.shape.at.get("period_deg", 360.0) for f in found)
+    assert named == pytest.approx(list(orders), rel=2e-3)
