@@ -21,7 +21,7 @@ from calrig.calibration.diagnosis.candidates import Candidate, model_columns, ow
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
-from calrig.calibration.diagnosis.report import slopes_of_errors
+from calrig.calibration.diagnosis.report import left_deg, slopes_of_errors
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
@@ -171,9 +171,8 @@ def without_harm(
 def fit_rms_deg(r: Responses, found: Sequence[SelectedEffect]) -> tuple[float, float]:
     """Return the RMS errors of the poses fitted, in degrees of elevation: of bias and scale, of a model."""
     accepted, line = [f.candidate for f in found], _line(r)
-    fitted = fitted_model(r, accepted).fitted
     before_deg = (r.values[:, 0] - r.base[:, 0, :] @ line) / slopes_of_errors(r, (), line)
-    return rms(before_deg), rms(fitted.residuals[:, 0] / slopes_of_errors(r, accepted, fitted.beta))
+    return rms(before_deg), rms(left_deg(r, accepted, fitted_model(r, accepted).fitted))
 
 
 def folds_of(r: Responses, deal: int | None = None) -> npt.NDArray[np.intp]:

@@ -142,16 +142,9 @@ def explained_shares(r: Responses, effects_deg: Sequence[FloatArray]) -> list[fl
     Returns:
         As the module's docstring defines it; None if bias and scale leave nothing.
     """
-    before_deg = _beside_a_line(r, r.values[:, 0])
+    before_deg = less_line(r, r.values[:, 0])
     power = float(before_deg @ before_deg)
     return [float(before_deg @ one) / power if power > 0.0 else None for one in effects_deg]
-
-
-def _beside_a_line(r: Responses, values_deg: FloatArray) -> FloatArray:
-    """Return (n,) values less their straight line in θ, which is bias and scale."""
-    if np.ptp(r.theta_deg) == 0.0:
-        return np.asarray(values_deg - values_deg.mean())
-    return np.asarray(values_deg - np.polyval(np.polyfit(r.theta_deg, values_deg, 1), r.theta_deg))
 
 
 def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool = True) -> FloatArray:
@@ -367,13 +360,13 @@ def drawn_residuals(
     reading_deg = r.theta_deg + r.values[:, 0]
     line = fit_line(r.theta_deg, reading_deg)
     before_deg = residuals_deg(r.theta_deg, reading_deg, line.bias_deg, line.scale)
-    after_deg = fitted.residuals[:, 0] / slopes_of_errors(r, chosen, fitted.beta)
+    after_deg = left_deg(r, chosen, fitted)
     partial = []
     for candidate, own in zip(chosen, parts_deg(r, chosen, fitted.beta), strict=True):
         at = _column(r, candidate.covariate)
         effect_deg = own
         if candidate.shape.knots:
-            effect_deg = _beside_a_line(r, own)
+            effect_deg = less_line(r, own)
         residual_deg = fitted.residuals[:, 0] + effect_deg
         partial.append(PartialResidual(candidate.covariate, at, r.theta_deg, residual_deg, effect_deg))
     return DrawnResiduals(r.theta_deg, r.time_s, before_deg, after_deg, partial)
@@ -383,6 +376,11 @@ def fitted_scale(r: Responses, beta: FloatArray) -> float:
     """Return the scale of the reading in a fit's coefficients (p,); 1 where it has none."""
     names = r.base_names
     return 1.0 + float(beta[names.index(SCALE)]) / SCALE_UNIT_DEG if SCALE in names else 1.0
+
+
+def left_deg(r: Responses, accepted: Sequence[Candidate], fitted: Fit) -> FloatArray:
+    """Return (n,) what a fitted model leaves of the readings, in degrees of elevation."""
+    return np.asarray(fitted.residuals[:, 0] / slopes_of_errors(r, accepted, fitted.beta))
 
 
 def slopes_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> FloatArray:

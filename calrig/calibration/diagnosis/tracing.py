@@ -26,7 +26,7 @@ from calrig.calibration.diagnosis.held_out import (
     worse,
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
-from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, model_words, slopes_of_errors
+from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, left_deg, model_words
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.effects.unnamed import TIMES
@@ -271,8 +271,7 @@ def _before(r: Responses) -> tuple[Line, FloatArray]:
 def _after_deg(findings: Findings) -> FloatArray:
     """Return (n,) what the final model leaves of the readings, in degrees of elevation."""
     accepted = [f.candidate for f in findings.found]
-    slopes = slopes_of_errors(findings.responses, accepted, findings.fitted.beta)
-    return np.asarray(findings.fitted.residuals[:, 0] / slopes)
+    return left_deg(findings.responses, accepted, findings.fitted)
 
 
 def _lag1(residual: FloatArray, rounding_deg: float) -> float:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import isnan
 from typing import Any
 
 import numpy as np
@@ -334,7 +333,7 @@ def _effect_document(gravity: Gravity, found: FoundEffect) -> dict[str, Any]:
     effect, poses = found.effect, gravity.poses
     values, stds = gravity.final.parameters(effect, poses)
     parameters: dict[str, dict[str, float | None]] = {
-        name: {"value": None if isnan(value) else float(value), "std": None if isnan(std) else float(std)}
+        name: {"value": float(value), "std": float(std)} if np.isfinite(std) else {"value": None, "std": None}
         for name, value, std in zip(effect.parameters, values, stds, strict=True)
     }
     parameters |= {name: {"value": value, "std": None} for name, value in effect.reference(poses).items()}
