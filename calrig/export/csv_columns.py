@@ -20,6 +20,12 @@ MAX_NAME_CHARACTERS = 100
 DID_YOU_MEAN = "did you mean"
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 """A decimal number; unlike `float`, neither `1_000` nor digits of other scripts."""
+_DATA = re.compile(r"[+\-−]?[0-9][0-9.,:/eETZ+\- ]*°?|[+\-−]?\.[0-9]+")
+"""A number or a time, which is no name of a column."""
+_MEANINGS = {
+    "target_deg": "the angle of the reference, commanded or measured",
+    "reading_deg": "the angle that the unit reads",
+}
 
 
 @dataclass(slots=True)
@@ -227,10 +233,12 @@ def missing_columns(
     for name in absent:
         near = next((text for text in own if _misspelling(text, name) <= len(name) // 3), None)
         hint = "" if near is None else f"; {shortened(near)}: {DID_YOU_MEAN} {_with_unit(name, near)}?"
-        found.append(CsvError(f"there is no such column{why}{hint}", line=line, column=name))
+        means = f" ({_MEANINGS[name]})" if name in _MEANINGS and near is None else ""
+        found.append(CsvError(f"there is no such column{means}{why}{hint}", line=line, column=name))
     if found:
         texts, last = [column.text for column in columns], found[-1]
-        is_data = all(map(NUMBER.fullmatch, texts))
+        n_data = sum(_DATA.fullmatch(text) is not None for text in texts)
+        is_data = 2 * n_data > len(texts) and not any(column.is_known for column in columns)
         rest = "the first line holds numbers, and the column names must come before it"
         end = f": {rest}" if is_data else f"; {there_are(texts)}"
         found[-1] = CsvError(f"{last.what}{end}", line=line, column=last.column)

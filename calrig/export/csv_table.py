@@ -279,7 +279,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     """Return how a file is written.
 
     The header is the first line that is neither blank nor a comment; or the comment before it, if only that
-    has known names. A line such as `sep=;` may come before it, and a row of units after it.
+    has known names; or a line further down, if only that has the required ones. A line such as `sep=;` may
+    come before it, and a row of units after it.
 
     Args:
         data: from the file's beginning, a megabyte of rows or all of them.
@@ -296,19 +297,19 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
         separators = (stated,)
         report.say(f"line {row.line} is read as the separator of the cells")
         row = _next_row(data, row.end, row.line + 1)
-    header = row
-    if row.comments and not has_known(row.text, known):
-        bare = row.comments[-1]._replace(text=row.comments[-1].text.lstrip(b" #"))
-        if has_known(bare.text, known):
-            header = bare
-            report.say(f"the names of the columns are read from the comment in line {header.line}")
+    header = _header_elsewhere(data, row, known, required) or row
+    if header.line < row.line:
+        report.say(f"the names of the columns are read from the comment in line {header.line}")
+    elif header.line > row.line:
+        report.say(f"what comes before the names of the columns, in line {header.line}, is not read")
     if not header.text:
         raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
     if _JSON.match(header.text):
         what = "is JSON, not a table: write the names of the columns, then a row each"
         raise CsvError(what, line=header.line)
     rows = data[header.end : header.end + EXAMINED_BYTES]
-    _refuse_long_names(header)
+    if _has_long_names(header):
+        raise CsvError(f"a name has at most {MAX_NAME_CHARACTERS} characters", line=header.line)
     dialect = dialect_of(header.text, rows, known, separators)
     texts = [from_spreadsheet(name.strip()) for name in _cells(header, dialect)]
     if len(texts) > MAX_COLUMNS:
@@ -334,11 +335,9 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     return Layout(columns, header.line, begin, first_line, dialect, units, report)
 
 
-def _refuse_long_names(header: _Row) -> None:
-    """Refuse names that would take long to compare, before anything is compared with them."""
-    for name in _NAME_ENDS.split(header.text):
-        if len(name) > 4 * MAX_NAME_CHARACTERS:
-            raise CsvError(f"a name has at most {MAX_NAME_CHARACTERS} characters", line=header.line)
+def _has_long_names(row: _Row) -> bool:
+    """Whether a line has names that would take long to compare."""
+    return any(len(name) > 4 * MAX_NAME_CHARACTERS for name in _NAME_ENDS.split(row.text))
 
 
 class _Row(NamedTuple):
@@ -349,6 +348,30 @@ class _Row(NamedTuple):
     begin: int
     end: int
     comments: tuple[_Row, ...] = ()
+
+
+PREAMBLE_ROWS = 100
+
+
+def _header_elsewhere(
+    data: bytes, first: _Row, known: Collection[str], required: Sequence[str]
+) -> _Row | None:
+    """The header where the first row has no known name: the comment before it, or the row with all required.
+
+    None where neither is there.
+    """
+    if _has_long_names(first) or has_known(first.text, known):
+        return None
+    if first.comments:
+        bare = first.comments[-1]._replace(text=first.comments[-1].text.lstrip(b" #"))
+        if not _has_long_names(bare) and has_known(bare.text, known):
+            return bare
+    row = first
+    for _ in range(PREAMBLE_ROWS if required else 0):
+        row = _next_row(data, row.end, row.line + 1)
+        if not _has_long_names(row) and all(has_known(row.text, [name]) for name in required):
+            return row
+    return None
 
 
 _JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")

@@ -62,8 +62,8 @@ def test_noise_of_poses_that_are_never_revisited_is_held_against_the_dwells() ->
     assert lack.pure.std_deg == pytest.approx(NOISE_DEG)
 
 
-def experiment(lack: LackOfFit) -> str:
-    said = warning_of(lack, found=False)
+def experiment(lack: LackOfFit, *, temperature: bool = True) -> str:
+    said = warning_of(lack, found=False, temperature=temperature)
     assert said is not None
     return said.rsplit("; ", 1)[1]
 
@@ -77,6 +77,7 @@ def test_a_drift_that_moves_revisits_apart_is_not_taken_for_what_the_rig_repeats
     assert lack.pure.std_deg == pytest.approx(NOISE_DEG, rel=0.3)
     assert lack.rejects
     assert "warm the unit up once more" in experiment(lack)
+    assert "record the temperature" in experiment(lack, temperature=False)
 
 
 def test_a_shape_of_the_elevation_is_told_by_what_repeats() -> None:

@@ -155,6 +155,12 @@ def test_columns_that_cannot_be_covariates_are_left_out_with_a_warning():
     ]
 
 
+def test_lines_of_a_logger_before_the_names_are_left_out_with_a_word():
+    imported = read_poses(b"Bench 3\nDate;2021-05-05\n\n# by hand\nTarget [rad];reading_deg\n0;1,5\n1;2,5\n")
+    assert [p.reading_deg for p in imported.poses] == [1.5, 2.5]
+    assert "before the names of the columns, in line 5, is not read" in imported.warnings[0]
+
+
 def test_rows_out_of_time_are_sorted_with_a_warning():
     imported = read_poses(b"target_deg,reading_deg,time_s\n1,0,30\n2,0,10\n3,0,20\n")
     assert [p.target_deg for p in imported.poses] == [2.0, 3.0, 1.0]
@@ -186,6 +192,8 @@ def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
         (b"target_deg;reading_deg\n1,5;2,5\n1;1,234,567\n", 3, "reading_deg", "'1,234,567' is not a number"),
         (b"target_deg\treading_deg\n1\t2\n1,5\t2\t3\n", 3, None, "3 cells where the header has 2"),
         (b"1.0,2.0\n3.0,4.0\n", 1, "target_deg", "the first line holds numbers"),
+        (b"2021-05-05 10:00:00,2.0,-3\n", 1, "target_deg", "the first line holds numbers"),
+        (b"Bench 3\n\ntilt_deg,reading_deg\n1,2\n", 1, "target_deg", "there are: Bench 3"),
         (b"target_deg,reading_deg,lux,lux\n1,2,3,4\n", 1, "lux", "twice"),
         (b"target_deg,reading_deg\n1,2\n1,2,3\n", 3, None, "3 cells where the header has 2"),
         (b"target_deg,reading_deg\n1,5,2,5\n", 2, None, "decimals are written with a point"),

@@ -189,12 +189,13 @@ def _together(dwell: Spread, revisits: Spread) -> Spread:
     return Spread(math.sqrt(power / freedom), freedom)
 
 
-def warning_of(lack: LackOfFit, *, found: bool) -> str | None:
+def warning_of(lack: LackOfFit, *, found: bool, temperature: bool) -> str | None:
     """How large and how slow the rest is, and which experiment would show it; None where nothing lacks.
 
     Args:
         lack: of the final model.
         found: whether an effect is in it.
+        temperature: whether the poses have one.
     """
     if not lack.rejects or lack.pure is None:
         return None
@@ -203,7 +204,7 @@ def warning_of(lack: LackOfFit, *, found: bool) -> str | None:
     return (
         f"lack of fit: {rest}: RMS {angle_text(lack.residual.std_deg)}, {lack.ratio:.1f} times the "
         f"pure error of {angle_text(lack.pure.std_deg)} ({test}), correlated by {lack.lag1_correlation:.2f} "
-        f"from pose to pose; {_experiment(lack)}"
+        f"from pose to pose; {_experiment(lack, temperature)}"
     )
 
 
@@ -211,13 +212,14 @@ SLOW = 0.3
 WANDERS = 1.5
 
 
-def _experiment(lack: LackOfFit) -> str:
+def _experiment(lack: LackOfFit, temperature: bool) -> str:
     """Return what to measure, by where the rest shows: in time, over elevation, or from pose to pose."""
+    warm = "warm the unit up once more" if temperature else "record the temperature over a warm-up"
     if lack.repeat is not None and lack.pure is not None:
         if lack.repeat.std_deg > WANDERS * lack.pure.std_deg:
-            return "it changes in time: repeat one elevation over the run, and warm the unit up once more"
+            return f"it changes in time: repeat one elevation over the run, and {warm}"
         if lack.repeat.std_deg < lack.residual.std_deg / WANDERS:
             return "it repeats at each elevation: measure between those, and turn the unit on the stage"
     if lack.lag1_correlation >= SLOW:
-        return "it is slow: repeat one elevation, which tells time from angle, and warm the unit up once more"
+        return f"it is slow: repeat one elevation, which tells time from angle, and {warm}"
     return "it differs from pose to pose: repeat one elevation from one side, to see what the rig repeats to"
