@@ -332,8 +332,9 @@ def refuse_what_is_on_its_way(theta: FloatArray, reading: FloatArray) -> None:
     if len(whole) >= FEWEST_STEPS and np.median(whole) < HALF_WAY:
         raise DiagnosisError(
             f"after a step of target_deg the readings take {np.median(rows):.0f} rows to follow, by "
-            f"{100.0 * np.median(whole):.0f} % in the first: leave out the rows on the way, or give the "
-            "elevation that was measured with each reading"
+            f"{100.0 * np.median(whole):.0f} % in the first: leave out the rows on the way. If target_deg "
+            "is a command, give the elevation measured with each reading; if it was measured, advance the "
+            "readings by their delay"
         )
 
 

@@ -223,9 +223,12 @@ def refuse_bad_names(columns: Sequence[Column], line: int) -> None:
 
 
 def missing_columns(
-    columns: Sequence[Column], required: Sequence[str], line: int, why: str = ""
+    columns: Sequence[Column], required: Sequence[str], line: int, why: str = "", below: int | None = None
 ) -> list[CsvError]:
-    """Return what is to be said of each required column that is not there, with the nearest one that is."""
+    """Return what is to be said of each required column that is not there, with the nearest one that is.
+
+    Further down the line `below` may have the names.
+    """
     names = {column.name for column in columns}
     absent = [name for name in required if name not in names]
     own = [column.text for column in columns if not column.is_known and column.text]
@@ -241,6 +244,8 @@ def missing_columns(
         is_data = 2 * n_data > len(texts) and not any(column.is_known for column in columns)
         rest = "the first line holds numbers, and the column names must come before it"
         end = f": {rest}" if is_data else f"; {there_are(texts)}"
+        if below is not None:
+            end = f"; {there_are(texts)}; or the names are in line {below}: leave out the lines before it"
         found[-1] = CsvError(f"{last.what}{end}", line=line, column=last.column)
     return found
 

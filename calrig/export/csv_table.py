@@ -328,7 +328,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     _read_by_cells(columns, data[begin : begin + EXAMINED_BYTES // 10], dialect, known, required)
     refuse_bad_names(columns, header.line)
     with report:
-        for fault in missing_columns(columns, required, header.line):
+        below = _names_below(data, header)
+        for fault in missing_columns(columns, required, header.line, below=below):
             report.add_fault(fault)
     for note in header_notes(columns, known):
         report.say(note)
@@ -372,6 +373,15 @@ def _header_elsewhere(
         if not _has_long_names(row) and all(has_known(row.text, [name]) for name in required):
             return row
     return None
+
+
+def _names_below(data: bytes, header: _Row) -> int | None:
+    """The first line with the most cells, if the header has fewer."""
+    rows = [header]
+    for _ in range(PREAMBLE_ROWS):
+        rows.append(_next_row(data, rows[-1].end, rows[-1].line + 1))
+    cells = [max(row.text.count(sign.encode()) for sign in SEPARATORS) for row in rows]
+    return rows[cells.index(max(cells))].line if max(cells) > cells[0] else None
 
 
 _JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")

@@ -62,6 +62,14 @@ def test_noise_of_poses_that_are_never_revisited_is_held_against_the_dwells() ->
     assert lack.pure.std_deg == pytest.approx(NOISE_DEG)
 
 
+def test_neighbours_of_a_stroke_in_small_steps_are_no_revisits() -> None:
+    """A telescope's log: the elevation only rises, by less than what tells two targets apart."""
+    residual_deg = noise(9) + 0.1 * np.sin(np.linspace(0.0, 20.0, len(TARGETS_DEG)))
+    assert held(residual_deg, targets_deg=np.linspace(0.0, 0.4, len(TARGETS_DEG))).repeat is None
+    twice_deg = np.repeat(np.linspace(0.0, 0.4, len(TARGETS_DEG) // 2), 2)
+    assert held(residual_deg, targets_deg=twice_deg).repeat is not None
+
+
 def experiment(lack: LackOfFit, *, temperature: bool = True) -> str:
     said = warning_of(lack, found=False, temperature=temperature)
     assert said is not None

@@ -47,6 +47,29 @@ def test_four_waves_a_turn_at_irregular_poses_are_order_4_of_the_turn():
     assert "order 4 of the turn" in effect["evidence"]
 
 
+@pytest.mark.parametrize("first_deg", [27.0, 207.0])
+def test_a_sensor_over_its_own_turn_has_its_orders_wherever_the_table_begins(first_deg):
+    """Even steps; small orders beside large ones, as hand fits of a public encoder's table found them."""
+    amplitudes_deg = {1: 1.542, 2: 0.125, 3: 0.037, 4: 0.044, 5: 0.013, 50: 0.035}
+    truth_deg = np.arange(0.0, 360.0, 1.8)
+    noise_deg = np.random.default_rng(7).normal(0.0, 0.0136, 200)
+    error_deg = sum(a * np.sin(np.radians(k * truth_deg + 40.0 * k)) for k, a in amplitudes_deg.items())
+    turned = np.roll(np.arange(200), -round(first_deg / 1.8))
+    targets_deg = first_deg + 1.8 * np.arange(200)
+    readings_deg = targets_deg + (error_deg + noise_deg)[turned]
+    request = DiagnosisRequest("good")
+    poses = posed(target_deg=targets_deg, reading_deg=readings_deg)
+    found = document(diagnose([poses], request=request, bootstraps=199, cross_fit=False), ["a table"])
+    orders = {
+        round(360.0 / e["parameters"]["period_deg"]["value"], 6): e["parameters"]["amplitude_deg"]
+        for e in found["effects"]
+        if e["name"] == "stage_periodic"
+    }
+    assert orders.keys() >= {2.0, 3.0, 4.0, 5.0, 50.0}
+    for order, amplitude in orders.items():
+        assert abs(amplitude["value"] - amplitudes_deg.get(order, 0.0)) < 3.0 * amplitude["std"]
+
+
 def turned_once(rng, *, over_deg=360.0):
     """Columns of 160 poses of an axis with order 4, its reading and its accelerometer of equal noise."""
     targets = rng.uniform(-over_deg / 2.0, over_deg / 2.0, 160)

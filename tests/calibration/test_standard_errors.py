@@ -71,3 +71,48 @@ def test_what_lies_across_a_wave_lengthens_it_and_its_amplitude_is_no_better_kno
 def test_a_phase_of_which_nothing_is_known_has_the_spread_of_a_whole_turn():
     stated = amplitude_and_phase(None, np.array([0.01, 0.0]), np.diag([1.0, 1.0]))
     assert stated["phase_deg"]["std"] == pytest.approx(180.0 / math.sqrt(3.0))
+
+
+TIME_S = 0.02 * np.arange(800)
+MOVES = ((60.0, 0.5, 0.0), (25.0, 1.7, 1.0), (8.0, 6.0, 2.0), (5.0, 11.0, 0.5))
+"""Amplitude in °, angular frequency in 1/s and phase of each part of a motion."""
+
+
+def followed_deg(lag_s: float) -> np.ndarray:
+    """The motion as a sensor of first order follows it: slow moves late by its time constant."""
+    return np.sum(
+        [a / math.hypot(1.0, w * lag_s) * np.sin(w * TIME_S + p - math.atan(w * lag_s)) for a, w, p in MOVES],
+        axis=0,
+    )
+
+
+def delay_in(reading_deg: np.ndarray) -> tuple[float, float, float]:
+    """The delay that a fit of readings on the move states, with its standard error, and widened."""
+    r = responses_of([posed(target_deg=followed_deg(0.0), reading_deg=reading_deg, time_s=TIME_S)])
+    rate_dps = np.sum([a * w * np.cos(w * TIME_S + p) for a, w, p in MOVES], axis=0)
+    columns = np.concatenate([r.base, -rate_dps[:, None, None]], axis=2)
+    fitted = fit(r, columns)
+    widened = covariance_of(r, columns, fitted, draws=False)
+    return fitted.beta[-1], math.sqrt(fitted.covariance[-1, -1]), math.sqrt(widened[-1, -1])
+
+
+def wandering_deg(seed: int) -> np.ndarray:
+    return lfilter([1.0], [1.0, -0.9], 0.13 * np.random.default_rng(seed).standard_normal(1000))[200:]
+
+
+def test_an_error_covers_what_another_weighting_makes_of_an_effect_of_another_shape():
+    """A lag of first order is no delay: of fast moves, which weigh most there, it is shorter."""
+    delay_s, stated_s, widened_s = delay_in(followed_deg(0.1) + wandering_deg(0))
+    assert abs(delay_s - 0.1) > 8.0 * stated_s
+    assert abs(delay_s - 0.1) < 3.0 * widened_s
+
+
+@pytest.mark.statistical
+def test_an_error_is_seldom_widened_where_the_effect_is_a_delay():
+    late_deg = np.sum([a * np.sin(w * (TIME_S - 0.01) + p) for a, w, p in MOVES], axis=0)
+    pulls = []
+    for seed in range(100):
+        _, stated_s, widened_s = delay_in(late_deg + wandering_deg(seed))
+        pulls.append(widened_s > stated_s)
+    # noise alone does so in 5 %
+    assert np.mean(pulls) < 0.13

@@ -33,6 +33,7 @@ from calrig.calibration.diagnosis.sensor_model import (
 from calrig.calibration.regression.effect import Parameters
 from calrig.calibration.regression.noise_model import RepeatedSteps, fit, fits, orthonormal, solved
 from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.terms import THE_TURN
 from calrig.estimation.angles import FloatArray
 
 WIDTHS = (2, 5, 9, 17)
@@ -374,7 +375,10 @@ def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate)
         if is_distinct_from(r, accepted, settled):
             best = yield from _fitted_at(settled)
     here = best.candidate
-    return best._replace(candidate=replace(here, shape=replace(here.shape, at_std={name: std})))
+    at_std = (
+        {} if here.shape.series == THE_TURN and not here.shape.scanned else {name: std}
+    )  # an order is known
+    return best._replace(candidate=replace(here, shape=replace(here.shape, at_std=at_std)))
 
 
 def _fitted_at(candidate: Candidate) -> _Refining:

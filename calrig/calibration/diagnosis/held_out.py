@@ -29,7 +29,7 @@ from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
-from calrig.calibration.regression.noise_model import Fit, distance_of, fit
+from calrig.calibration.regression.noise_model import LARGEST_RHO, Fit, distance_of, fit
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.run_changes import with_free_levels
 from calrig.estimation.angles import FloatArray
@@ -126,9 +126,10 @@ def without_harm(
     """Reduce effects with which the error is no smaller than without them, until it is.
 
     So on held-out poses and on those fitted: strongly correlated noise lets a model go far from its poses.
-    Where the folds' own searches gain nothing, the effects of all poses are fitted again in each fold. While
-    an error is no smaller than without them, the effect leaves whose absence lowers that on held-out poses
-    most.
+    Where the error hardly changes from pose to pose, the neighbours of a held-out pose tell it, and blocks of
+    time must gain as well. Where the folds' own searches gain nothing, the effects of all poses are fitted
+    again in each fold. While an error is no smaller than without them, the effect leaves whose absence lowers
+    that on held-out poses most, or that on blocks.
 
     Returns:
         The findings, the errors on held-out poses, and a warning if effects left.
@@ -136,36 +137,55 @@ def without_harm(
     if not findings.found:
         return findings, held_out.of_nothing(), []
     r, found = findings.responses, list(findings.found)
+    along = TIME if _hardly_changes(r, findings.fitted) else BETWEEN
 
-    def is_nearer(those: Sequence[SelectedEffect]) -> bool:
+    def errors(those: Sequence[SelectedEffect], along: str = along) -> FloatArray:
+        return _errors(r, tuple(f.candidate for f in those), along)
+
+    def harm_of(
+        those: Sequence[SelectedEffect], held_out: CrossValidation
+    ) -> tuple[str, float, float] | None:
+        """Return the poses that it is on, with the RMS errors before and after; None without harm."""
+        if not held_out.is_gain:
+            return "held-out poses", rms(held_out.base_deg), rms(held_out.final_deg)
         before_deg, after_deg = fit_rms_deg(r, those)
-        return after_deg < before_deg
+        if not after_deg < before_deg:
+            return "fitted poses", before_deg, after_deg
+        if along == TIME and not rms(errors(those)) < rms(errors(())):
+            return "held-out blocks of time", rms(errors(())), rms(errors(those))
+        return None
 
-    if held_out.is_gain and is_nearer(found):
+    harm = harm_of(found, held_out)
+    if harm is None:
         return findings, held_out, []
 
     def refitted(those: Sequence[SelectedEffect]) -> CrossValidation:
         if not those:
             return held_out.of_nothing()
-        final_deg = _errors(r, tuple(f.candidate for f in those), BETWEEN)
-        return CrossValidation(held_out.base_deg, final_deg, held_out.folds, is_searched=False)
+        return CrossValidation(held_out.base_deg, errors(those, BETWEEN), held_out.folds, is_searched=False)
 
     again = refitted(found)
-    while found and not (again.is_gain and is_nearer(found)):
+    while found and harm_of(found, again) is not None:
         fewer = [[f for f in found if f is not one] for one in found]
-        found = min(fewer, key=lambda those: rms(refitted(those).final_deg))
+        found = min(fewer, key=lambda those: rms(errors(those)))
         again = refitted(found)
     left = [f.candidate.label for f in findings.found if f not in found]
     if not left:
         return findings, again, []
-    which, before_deg, after_deg = "held-out", rms(held_out.base_deg), rms(held_out.final_deg)
-    if held_out.is_gain:
-        which, (before_deg, after_deg) = "fitted", fit_rms_deg(r, findings.found)
+    which, before_deg, after_deg = harm
     warning = (
-        f"{', '.join(left)}: significant, but not listed, since the error on {which} poses is no smaller "
+        f"{', '.join(left)}: significant, but not listed, since the error on {which} is no smaller "
         f"with it: RMS {before_deg:#.3g}° before and {after_deg:#.3g}° after"
     )
     return with_effects(findings, found), again, [warning]
+
+
+def _hardly_changes(r: Responses, fitted: Fit) -> bool:
+    """Return whether the reading's error is correlated beyond the model of the noise, in runs with blocks."""
+    left = fitted.residuals[:, 0]
+    follows = ~r.starts[1:]
+    power = float(left @ left) + len(r) * float(r.rounding[0]) ** 2
+    return TIME in _folds(r) and float((left[1:] * left[:-1]) @ follows) >= LARGEST_RHO * power
 
 
 def fit_rms_deg(r: Responses, found: Sequence[SelectedEffect]) -> tuple[float, float]:
@@ -267,7 +287,7 @@ def confirm(
 
 
 BLOCKS = 4
-BETWEEN = "between"
+TIME, BETWEEN = "time", "between"
 """Along nothing: the interleaved folds, as many as there are blocks."""
 UNSTABLE = 1e-3
 """Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
@@ -350,7 +370,7 @@ def _folds(r: Responses) -> dict[str, Intp]:
     since = np.arange(len(r)) - np.repeat(first, length)
     folds = {}
     if length.min() >= 2 * BLOCKS:  # a table without history has none to part
-        folds["time"] = since * BLOCKS // np.repeat(length, length)
+        folds[TIME] = since * BLOCKS // np.repeat(length, length)
     places = np.unique(np.round(r.theta_deg))
     if len(places) >= 2 * BLOCKS:
         edges = places[np.arange(1, BLOCKS) * len(places) // BLOCKS]

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -138,9 +139,17 @@ def _dwell(poses: Sequence[Pose]) -> Spread | None:
 
 
 def _groups(runs: Sequence[Sequence[Pose]], free: BoolArray) -> list[list[int]]:
-    """Return poses of one run at one target, come to from one side, in order; each at least twice."""
+    """Return poses of one run at one target, come to from one side, in order; each at least twice.
+
+    Poses of a stroke that lie closer than a target is told apart are no visits of one.
+    """
     groups: list[list[int]] = []
     first = 0
+    targets_deg = [pose.target_deg for run in runs for pose in run]
+
+    def is_revisit(earlier: int, later: int) -> bool:
+        return later > earlier + 1 or targets_deg[later] == targets_deg[earlier]
+
     for run in runs:
         by_side: dict[int | None, list[int]] = {}
         for k, pose in enumerate(run):
@@ -154,7 +163,8 @@ def _groups(runs: Sequence[Sequence[Pose]], free: BoolArray) -> list[list[int]]:
                     groups.append([])
                 groups[-1].append(first + k)
         first += len(run)
-    return [sorted(group) for group in groups if len(group) > 1]
+    in_order = (sorted(group) for group in groups)
+    return [group for group in in_order if any(is_revisit(*two) for two in pairwise(group))]
 
 
 def _revisits(

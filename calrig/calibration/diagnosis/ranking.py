@@ -236,8 +236,7 @@ def _alike(
         for shape in effect.forms(r, at)
     ]
     for criterion, own, other in refined(r, accepted, alike):
-        others = [*accepted, *(c for _, c in found)]
-        carried = is_distinct_from(r, others, other) and effect.carried(r, other.shape)
+        carried = is_distinct_from(r, accepted, other) and effect.carried(r, other.shape)
         if carried and other.is_possible(own):
             found.append((criterion, other))
     least = min(criterion for criterion, _ in found)

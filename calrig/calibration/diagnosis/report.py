@@ -45,7 +45,7 @@ from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import ANGLE, CHANNELS, READING, SCALE_UNIT_DEG
 from calrig.calibration.regression.effect import ELEVATION, LAST_MOVE, Circumstances, Scope, Shape
-from calrig.calibration.regression.noise_model import Fit, fit, fits, noise_of
+from calrig.calibration.regression.noise_model import Fit, fit, fits, moved_unweighted, noise_of
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
 from calrig.calibration.regression.run_changes import in_words
@@ -63,9 +63,17 @@ DRAWS = 100
 
 
 def covariance_of(
-    r: Responses, columns: FloatArray, fitted: Fit, seed: int = 0, curves: Sequence[slice] = ()
+    r: Responses,
+    columns: FloatArray,
+    fitted: Fit,
+    seed: int = 0,
+    curves: Sequence[slice] = (),
+    *,
+    draws: bool = True,
 ) -> FloatArray:
     """Return (p, p) covariance of a fit's coefficients, each error as large as refits scatter, never smaller.
+
+    Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`).
 
     Args:
         r: the responses.
@@ -73,17 +81,27 @@ def covariance_of(
         fitted: the fit.
         seed: of the draws.
         curves: columns of one effect, whose coefficients are certain in combination: one factor for all.
+        draws: whether noise is drawn and fitted again.
     """
-    taken = max(1.0, columns.shape[2] / len(r.channels))
-    noise = noise_of(fitted.residuals, r, taken, unbiased=True)
-    drawn = np.random.default_rng(seed).standard_normal((DRAWS, *fitted.residuals.shape))
-    again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
-    stated = np.einsum("bpp->p", again.covariance) / DRAWS
-    ratio = np.divide((again.beta**2).mean(axis=0), stated, out=np.ones_like(stated), where=stated > 0.0)
-    for own in curves:  # another factor for each would undo that their errors cancel
-        ratio[own] = ratio[own].mean()
-    widened = np.sqrt(np.maximum(ratio, 1.0))
-    return np.asarray(fitted.covariance * widened * widened[:, None], dtype=np.float64)
+
+    def over(variance: FloatArray, otherwise: float) -> FloatArray:
+        ratio = np.divide(variance, stated, out=np.full_like(stated, otherwise), where=stated > 0.0)
+        for own in curves:  # another factor for each would undo that their errors cancel
+            ratio[own] = ratio[own].mean()
+        return ratio
+
+    stated = np.diag(fitted.covariance)
+    moved = over(moved_unweighted(r, columns, fitted) ** 2, 0.0)
+    times = np.ones_like(stated)
+    if draws:
+        taken = max(1.0, columns.shape[2] / len(r.channels))
+        noise = noise_of(fitted.residuals, r, taken, unbiased=True)
+        drawn = np.random.default_rng(seed).standard_normal((DRAWS, *fitted.residuals.shape))
+        again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
+        stated = np.einsum("bpp->p", again.covariance) / DRAWS
+        times = np.maximum(over((again.beta**2).mean(axis=0), 1.0), 1.0)
+    wider = np.sqrt(times + moved)
+    return np.asarray(fitted.covariance * wider * wider[:, None], dtype=np.float64)
 
 
 def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
@@ -100,6 +118,7 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
         model = fitted_model(r, whole := sized)
         own = own_columns(model.columns, whole)
         fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
+    whole = _with_std_of_places(whole, fitted.covariance)
     shares = explained_shares(r, parts_deg(r, whole, model.fitted.beta))
     together = _sizes_together(r, whole, fitted, own)
     return [
@@ -160,14 +179,33 @@ def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool 
     slopes = [
         slope(model.responses, candidate, model.fitted.beta[at])
         for candidate, at in zip(model.accepted, own, strict=True)
-        if candidate.effect.place in candidate.shape.at_std and not candidate.shape.series
+        if _is_refined(candidate)
     ]
     r, columns, fitted = model.responses, model.columns, model.fitted
     if slopes:
         columns = np.concatenate([columns, *slopes], axis=2)
         fitted = fit(r, columns)
     curves = [at for at in own if at.stop - at.start > A_WAVE]
-    return covariance_of(r, columns, fitted, curves=curves) if widened else fitted.covariance
+    return covariance_of(r, columns, fitted, curves=curves, draws=widened)
+
+
+def _is_refined(candidate: Candidate) -> bool:
+    return candidate.effect.place in candidate.shape.at_std and not candidate.shape.series
+
+
+def _with_std_of_places(effects: Sequence[Candidate], covariance: FloatArray) -> list[Candidate]:
+    """Return the effects with standard errors of the places refined that are those of the final model.
+
+    Each place was refined beside the effects that were in the model then. Its variance is behind those of the
+    coefficients in the covariance (`covariance_with_places`).
+    """
+    refined = [k for k, candidate in enumerate(effects) if _is_refined(candidate)]
+    found = list(effects)
+    for k, variance in zip(refined, np.diag(covariance)[len(covariance) - len(refined) :], strict=True):
+        shape = found[k].shape
+        at_std = {found[k].effect.place: math.sqrt(max(float(variance), 0.0))}
+        found[k] = replace(found[k], shape=replace(shape, at_std=at_std))
+    return found
 
 
 def model_words(findings: Findings) -> str:

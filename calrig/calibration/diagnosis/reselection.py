@@ -331,6 +331,9 @@ def with_known_places(
             for place in moves.get(f.candidate, [f.candidate])
         ]
         before, after = ([f.candidate for f in each] for each in (found, put))
+        moved = [c for c in after if c not in before]
+        if any(not c.is_distinct(r, other) for c in moved for other in after if other is not c):
+            continue  # two that these poses see as one would cancel each other
         if penalised_criterion(r, after) < penalised_criterion(r, before):
             found = put
     return found

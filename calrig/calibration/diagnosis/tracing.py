@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -42,6 +43,8 @@ from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 BOOTSTRAPS = 999
+MOST_POSES = 5000
+"""A search of more takes many minutes and several gigabytes."""
 UNSEEN = 3.0
 """How many times as far as the accelerometer's angle a reading strays that gravity does not account for."""
 LISTED = 5
@@ -95,6 +98,9 @@ def diagnose(
         DiagnosisError: the poses cannot be diagnosed; the message says why.
     """
     given, incomplete = complete(runs)
+    if (n_poses := sum(map(len, given))) > MOST_POSES:
+        fewer = f"give one row in {math.ceil(n_poses / MOST_POSES)}, or means of neighbouring rows"
+        raise DiagnosisError(f"{n_poses} poses; at most {MOST_POSES} are diagnosed: {fewer}")
     whole, is_derived = with_approach(given)
     r = responses_of(whole, names_of(runs, given, run_ids), request)
     candidates = candidates_of(r)

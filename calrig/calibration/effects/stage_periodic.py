@@ -26,7 +26,14 @@ from calrig.calibration.regression.effect import (
 )
 from calrig.calibration.regression.motion import kept_in_mean
 from calrig.calibration.regression.responses import Responses
-from calrig.calibration.regression.terms import THE_TURN, amplitude_and_phase, c_wave, covered, wave_deg
+from calrig.calibration.regression.terms import (
+    THE_TURN,
+    amplitude_and_phase,
+    c_wave,
+    covered,
+    goes_round,
+    wave_deg,
+)
 from calrig.estimation.angles import FloatArray
 
 BIN_DEG, MOST_BINS = 0.05, 2**18
@@ -124,6 +131,8 @@ def steps_of(theta_deg: FloatArray, spacing_deg: float) -> FloatArray:
 
 USUAL_ORDERS = (2, 3, 4, 5, 6, 7, 8, 12, 16)
 """Of the turn: what unequal channels, poles and phases make of an axis. Order 1 is an eccentricity."""
+OWN_ORDERS, ONE_TURN_DEG = tuple(range(2, 17)), 1.5 * TURN_DEG
+"""Of poses all along one turn, which closes: a wave as long as these is one of them."""
 SHORTEST_PERIOD_DEG = 1.75
 """Unless the poses lie closer: the full step of a common motor on the axis itself is 1.8°."""
 LEAST_LEFT = 0.3
@@ -150,14 +159,17 @@ def _scan(r: Responses) -> Iterator[Parameters]:
         yield from _family(r, known_deg, 1)
     if arc < 3.0 * SHORTEST_PERIOD_DEG:
         return
-    frequencies = _scanned(r.theta_deg, arc, step_deg(r))
-    orders = np.array(USUAL_ORDERS) / TURN_DEG
+    is_one_turn = goes_round(r) and arc < ONE_TURN_DEG
+    names = OWN_ORDERS if is_one_turn else USUAL_ORDERS
+    frequencies, orders = _scanned(r.theta_deg, arc, step_deg(r)), np.array(names) / TURN_DEG
     if len(frequencies):
         orders = orders[orders <= frequencies[-1]]
+    if is_one_turn:
+        frequencies = frequencies[frequencies > OWN_ORDERS[-1] / TURN_DEG]
     periods = 1.0 / np.concatenate([orders, frequencies])
     resolved = _left_beside(r.base[:, 0, :], r.theta_deg, periods) >= LEAST_LEFT
     for k in np.flatnonzero(resolved):
-        order = {"order": float(USUAL_ORDERS[k])} if k < len(orders) else {}
+        order = {"order": float(names[k])} if k < len(orders) else {}
         yield {"period_deg": float(periods[k]), **order}
 
 
@@ -252,7 +264,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         names,
         form="order of the turn",
         at={"period_deg": period_deg, "order": at["order"]},
-        scanned=at["order"] not in USUAL_ORDERS,
+        scanned=at["order"] not in OWN_ORDERS,
         says=f"order {at['order']:g} of the turn",
         series=THE_TURN,
         at_elevation=at_elevation,
@@ -286,16 +298,34 @@ def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
     peaks, power = window_peaks(r.theta_deg, 2.0 * highest, ALIKE_POWER)
     peaks = peaks[np.argsort(-power, kind="stable")]
     alike = np.unique(np.round(np.abs(np.stack([peaks - found, peaks + found], 1).ravel()), 9)[:MOST_ALIKE])
-    lowest = 1.0 / TURN_DEG + APART / float(np.ptp(r.theta_deg))
+    resolved = APART / float(np.ptp(r.theta_deg))
+    taken = [found]
     for frequency in alike:
-        if lowest <= frequency <= highest:
+        is_new = min(abs(frequency - other) for other in taken) >= resolved
+        if is_new and 1.0 / TURN_DEG + resolved <= frequency <= highest:
+            taken.append(float(frequency))
             yield {"period_deg": float(1.0 / frequency)}
 
 
 def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
-    """Return whether the poses resolve two waves from each other; an order 1 is an eccentricity."""
+    """Return whether the poses resolve two waves from each other; an order 1 is an eccentricity.
+
+    Evenly spaced poses do not resolve a wave from one near an alias of it.
+    """
     own, its = _period_deg(shape), _period_deg(other)
-    return own == 0.0 or its == 0.0 or abs(1.0 / own - 1.0 / its) >= APART / r.arc_deg
+    if own == 0.0 or its == 0.0:
+        return True
+    own, its, grid = 1.0 / own, 1.0 / its, _frequency_of_grid(r)
+    if grid:
+        own, its = abs(own - grid * round(own / grid)), abs(its - grid * round(its / grid))
+    return abs(own - its) >= APART / r.arc_deg
+
+
+@lru_cache(maxsize=8)
+def _frequency_of_grid(r: Responses) -> float:
+    """Return how many evenly spaced elevations lie in a degree; 0 where they are not evenly spaced."""
+    step = spacing_deg(r.theta_deg)
+    return 0.0 if step is None else 1.0 / step
 
 
 def _period_deg(shape: Shape) -> float:

@@ -194,6 +194,15 @@ class NoiseModel:
 
         return [same if share == 0.0 else at(share) for share in shares]
 
+    def correlated(self, rotated: FloatArray, starts: BoolArray) -> FloatArray:
+        """Return (J, p, n) columns of rotated channels times the covariance ρ^|i − j| of their noise."""
+        ahead, back, rho = rotated.copy(), rotated.copy(), self.rho[:, None]
+        for k in np.flatnonzero(_follows(starts)):
+            ahead[..., k] += rho * ahead[..., k - 1]
+        for k in np.flatnonzero(_follows(starts))[::-1]:
+            back[..., k - 1] += rho * back[..., k]
+        return ahead + back - rotated
+
     def colour(self, innovations: FloatArray, starts: BoolArray) -> FloatArray:
         """Return the residuals (…, n, J) whose innovations are given: the inverse of `whiten`."""
         rotated = innovations.copy()
@@ -384,6 +393,33 @@ def distance_of(beta: FloatArray, covariance: FloatArray) -> float:
     std = np.where(std > 0.0, std, 1.0)
     scaled = beta / std
     return float(scaled @ np.linalg.pinv(covariance / np.outer(std, std), hermitian=True) @ scaled)
+
+
+WEIGHTINGS_AGREE = 2.0
+"""Standard errors up to which noise alone may move a coefficient from one weighting to the other."""
+
+
+def moved_unweighted(r: Responses, columns: FloatArray, fitted: Fit) -> FloatArray:
+    """Return (p,) how far a fit that weighs no correlation moves the coefficients; 0 where noise alone may.
+
+    Of a true model both fits estimate the same, and their difference has the difference of their variances
+    (Hausman, Econometrica 46, 1978). If an effect has another shape than the model's, or strongly correlated
+    noise is of another kind, each fit has its own answer, and neither is as certain as it states.
+
+    Args:
+        r: the responses.
+        columns: (n, J, p) of the fit.
+        fitted: the fit.
+    """
+    noise = fitted.noise
+    if noise.rho.max() < STRONG_RHO:
+        return np.zeros_like(fitted.beta)
+    rows = noise.rotated(np.moveaxis(columns, 2, 0))
+    inverse = np.linalg.pinv(np.einsum("jpn,jqn->pq", rows, rows), hermitian=True)
+    moved = inverse @ np.einsum("jpn,jn->p", rows, noise.rotated(fitted.residuals))
+    scatter = inverse @ np.einsum("jpn,jqn->pq", rows, noise.correlated(rows, r.starts)) @ inverse
+    variance = np.maximum(np.diag(scatter) - np.diag(fitted.covariance), 0.0)
+    return np.where(moved**2 > WEIGHTINGS_AGREE**2 * variance, moved, 0.0)
 
 
 def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased: bool = False) -> NoiseModel:
