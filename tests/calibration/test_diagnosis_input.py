@@ -60,6 +60,11 @@ def test_fewer_poses_than_parameters_are_refused(count: int) -> None:
         diagnose([run_of(sweeps()[:count])])
 
 
+def test_more_poses_than_a_search_can_take_are_refused_with_how_many_to_leave_out() -> None:
+    with pytest.raises(DiagnosisError, match=r"5001 poses; at most 5000 .*one row in 2"):
+        diagnose([run_of(np.linspace(-60.0, 60.0, 5001))])
+
+
 def of_a_drive(rows: int, lag_rows: float, steps: int = 12) -> list[Pose]:
     """A log of a drive at commanded elevations, many rows at each: readings approach them exponentially."""
     commanded_deg = np.repeat(np.tile([20.0, 90.0, 160.0], steps // 3), rows)

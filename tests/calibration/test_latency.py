@@ -48,6 +48,17 @@ def test_a_delay_at_speeds_that_differ_stands_alone(sense):
     assert effect["parameters"]["delay_s"]["value"] == pytest.approx(0.05, rel=0.05)
 
 
+def test_a_start_that_is_far_off_hides_no_delay():
+    """Four rows before the sensor has begun, with which all rows together say that it has no delay."""
+    time_s = 0.008 * np.arange(714)
+    there_deg = [10.0 * np.sin(19.0 * at) for at in (time_s, time_s - 0.005)]
+    reading_deg = there_deg[1] + np.random.default_rng(3).normal(0.0, 1.0, len(time_s))
+    reading_deg[2:6] = 85.0
+    found = found_in(posed(target_deg=there_deg[0], reading_deg=reading_deg, time_s=time_s))
+    delay = next(e["parameters"]["delay_s"] for e in found["effects"] if e["name"] == "latency")
+    assert abs(delay["value"] - 0.005) < 3.0 * delay["std"]
+
+
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_move_that_has_not_settled_is_that_of_a_sensor_that_counts_either_way(sense):
     rng = np.random.default_rng(2)
