@@ -146,8 +146,7 @@ class Enrolment(Repository):
 def _let_in(
     session: Session, row: BenchTable, host: str | None, port: int | None, *, is_elsewhere: bool
 ) -> str:
-    from calrig.store.postgresql.agent_url import agent_url, is_on_this_machine
-    from calrig.store.postgresql.set_up import let_in, role_name
+    from calrig.store.postgresql.set_up import agent_url, is_on_this_machine, let_in, role_name
 
     connection = session.connection()
     row.role = row.role or role_name(connection, row.name)
