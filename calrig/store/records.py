@@ -5,23 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Literal, NamedTuple, TypedDict
+from typing import Any, Literal, NamedTuple, NotRequired, TypedDict
 
 import numpy as np
-import numpy.typing as npt
 
 import calrig.model.run
 from calrig.calibration.poses import Filtering, Pose
 from calrig.calibration.results import AppliedEffect, EffectDoubt, numbers_of, own_effect
 from calrig.calibration.separation import StageMap
 from calrig.calibration.uncertainty import make_verdict
+from calrig.estimation.angles import FloatArray
 from calrig.estimation.kalman import KalmanNoise
 from calrig.model.result import Reference, Result
 from calrig.model.run import Progress, Status
 from calrig.model.solution import Frame
 from calrig.model.verdict import Limit, Verdict
 
-FloatArray = npt.NDArray[np.float64]
 Document = dict[str, Any]
 """A JSON object."""
 
@@ -105,6 +104,20 @@ def _motion_of(provenance: Document, planned: Document) -> dict[str, float]:
     if not velocity_dps or not acceleration:
         return {}
     return {"velocity_dps": float(velocity_dps), "acceleration_dps2": float(acceleration / ratio)}
+
+
+class RunColumns(TypedDict):
+    """What a new run is told of itself; None and left out say that nobody knows, or that it is not so.
+
+    `follows` is the id of the run that it is a follow-up of.
+    """
+
+    unit: str
+    plan: Document | None
+    operator: NotRequired[str | None]
+    note: NotRequired[str | None]
+    follows: NotRequired[str | None]
+    provenance: Document
 
 
 class RunChanges(TypedDict, total=False):

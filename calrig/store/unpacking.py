@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from pydantic import ValidationError
 from sqlalchemy.exc import InterfaceError, OperationalError
@@ -27,10 +27,9 @@ from calrig.store.database import Repository
 from calrig.store.errors import Unreadable
 from calrig.store.parcels import DeliveredEvent, DeliveredPose, DeliveredSamples, ParcelDocument
 from calrig.store.poses import map_in_use, put_upon
-from calrig.store.records import Document, Run, StoredPose, filtering_of
-from calrig.store.runs import first_progress, new_row, replace_result
+from calrig.store.records import Document, Run, RunColumns, StoredPose, filtering_of
+from calrig.store.runs import new_row, replace_result
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
-from calrig.store.trail import Act
 
 AT_ONCE = 20
 """Parcels in one transaction: others wait for their turn to write meanwhile."""
@@ -142,19 +141,13 @@ def _begun_at_bench(session: Session, parcel: ParcelTable, delivered: ParcelDocu
     run = new_row(
         session,
         told.created_at,
+        cast(RunColumns, told.model_dump(include={*RunColumns.__annotations__})),
         uid=parcel.run_uid,
-        unit=told.unit,
         rig=told.rig,
         status="queued",
-        plan=told.plan,
-        progress=first_progress(0, told.progress.poses_total, "queued"),
-        follows=told.follows,
-        provenance=told.provenance,
-        operator=told.operator,
-        note=told.note,
+        poses_total=told.progress.poses_total,
     )
-    act = Act("started", who=told.operator, unit=told.unit, rig=told.rig, run_id=run.uid)
-    trail.append(session, act, now)
+    trail.append(session, trail.act_on("started", run, told.operator), now)
     session.add(
         RunOrderTable(
             run_uid=run.uid,
