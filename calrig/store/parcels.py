@@ -125,10 +125,7 @@ EVENTS_A_PARCEL = 500
 BLOCKS_AT_ONCE = 32
 BYTES_AT_ONCE = 1_000_000
 """Of samples: what is sent, and kept in memory, together."""
-RUN_FIELDS = (
-    "id", "unit", "rig", "status", "plan", "progress", "result", "faults", "follows", "provenance",
-    "operator", "note", "created_at", "started_at", "finished_at", "error",
-)  # fmt: skip
+RUN_FIELDS = ("id", *(name for name in DeliveredRun.model_fields if name != "diagnosis"))
 """Of `records.Run`: what the bench alone knows. What was diagnosed, voided or limited is the centre's."""
 
 
