@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
@@ -106,7 +107,7 @@ def comparison(
                 changed=serial in most and bool(found.changes.changed[most[serial]]),
             ),
             "change": change_of(found, most[serial]) if serial in most else None,
-            **due.of(serial).to_dict(),
+            **asdict(due.of(serial)),
         }
         for serial, runs in units.items()
     ]
@@ -116,11 +117,11 @@ def comparison(
         "units": drifting,
         "spread": {figure: _spread(found, units, figure, apart) for figure in ("bias_deg", "scale")},
         "repeatability": {
-            "bias_deg": _repeats(found.pooled[0]),
-            "scale": _repeats(found.pooled[1]),
+            "bias_deg": _repeats(found.changes.pooled[0]),
+            "scale": _repeats(found.changes.pooled[1]),
             "false_discovery_rate": FALSE_DISCOVERY_RATE,
             "rule": RULE,
-            "says": _marked(apart, len(units), known=any(one is not None for one in found.pooled)),
+            "says": _marked(apart, len(units), known=any(one is not None for one in found.changes.pooled)),
         },
     }
 

@@ -22,7 +22,6 @@ from calrig.calibration.histories import (
     ControlChart,
     Differences,
     IntArray,
-    Repeatability,
     Runs,
     changes,
     control_chart,
@@ -98,11 +97,6 @@ class Histories:
             return None
         share = max(pooled.between_days, SMALLEST[figure]) ** 2 / variance
         return np.asarray(np.minimum(pooled.freedom / share**2, MOST_FREEDOM), dtype=np.float64)
-
-    @property
-    def pooled(self) -> tuple[Repeatability | None, ...]:
-        """How bias and scale repeat; None where the runs do not tell."""
-        return self.changes.pooled
 
 
 MOST_FREEDOM = 1e9
