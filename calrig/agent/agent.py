@@ -365,7 +365,7 @@ class Heartbeat:
             LinkDown: nobody answered.
         """
         said = self.said()
-        asked_at_s, is_anew = self._lease.asked_at_s(), not self._lease.is_held()
+        asked_at_s, is_anew = self._lease.now_s(), not self._lease.is_held()
         with self._link.centre() as centre, centre.connection.transaction():
             self._clock.measure(centre.connection)
             said["clock_skew_s"] = self._clock.skew_s

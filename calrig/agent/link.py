@@ -160,14 +160,10 @@ class Lease:
     """
 
     def __init__(self, now_s: Callable[[], float]) -> None:
-        self._now_s = now_s
+        self.now_s = now_s
         self._lock = threading.Lock()
         self._until_s: float | None = None
         self.losses = 0
-
-    def asked_at_s(self) -> float:
-        """The time, to be noted before the centre is asked."""
-        return self._now_s()
 
     def renew(self, asked_at_s: float, *, is_anew: bool) -> bool:
         """The centre answered what was asked then; returns whether the lease was not held before.
@@ -188,7 +184,7 @@ class Lease:
     def _is_held(self) -> bool:
         if self._until_s is None:
             return False
-        if self._now_s() < self._until_s:
+        if self.now_s() < self._until_s:
             return True
         self._until_s = None
         self.losses += 1

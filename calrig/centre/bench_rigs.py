@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
-from pydantic import AwareDatetime, BaseModel, Field, ValidationError
+from pydantic import AwareDatetime, BaseModel, Field, TypeAdapter, ValidationError
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.revisions import Releases
@@ -147,11 +147,8 @@ class BenchRigs:
             return []
 
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 Count = Annotated[int, Field(ge=0, le=2**53)]
-Said = TypeVar("Said", bound=BaseModel)
+T = TypeVar("T")
 
 
 class SaidOutbox(BaseModel):
@@ -161,24 +158,22 @@ class SaidOutbox(BaseModel):
     oldest_at: AwareDatetime | None
 
 
-class _LeaseLosses(BaseModel):
-    lease_losses: Count
+_OUTBOX, _COUNT = TypeAdapter(SaidOutbox), TypeAdapter[int](Count)
 
 
 def said_outbox(bench: Bench) -> SaidOutbox | None:
     """What a bench has yet to deliver; None where it does not say."""
-    return _read(SaidOutbox, bench.said.get("outbox"))
+    return _read(_OUTBOX, bench.said.get("outbox"))
 
 
 def said_lease_losses(bench: Bench) -> int | None:
     """How often a bench's lease ran out since its agent began; None where it does not say."""
-    said = _read(_LeaseLosses, bench.said)
-    return None if said is None else said.lease_losses
+    return _read(_COUNT, bench.said.get("lease_losses"))
 
 
-def _read(model: type[Said], said: Any) -> Said | None:
+def _read(form: TypeAdapter[T], said: Any) -> T | None:
     try:
-        return model.model_validate(said)
+        return form.validate_python(said)
     except ValidationError:
         return None
 
