@@ -92,6 +92,7 @@ def comparison(
     `in_force` is that of `figures_in_force`.
     """
     significance, most = _significance(found)
+    changed = {serial for serial, k in most.items() if found.changes.changed[k]}
     drifting = [
         {
             "unit": serial,
@@ -101,11 +102,8 @@ def comparison(
                 [run["finished_at"] for run in runs], [run["bias_deg"] for run in runs]
             ),
             "p_value": significance.get(serial),
-            "changed": serial in most and bool(found.changes.changed[most[serial]]),
-            "verdict": change_verdict(
-                significance.get(serial),
-                changed=serial in most and bool(found.changes.changed[most[serial]]),
-            ),
+            "changed": serial in changed,
+            "verdict": change_verdict(significance.get(serial), changed=serial in changed),
             "change": change_of(found, most[serial]) if serial in most else None,
             **asdict(due.of(serial)),
         }

@@ -158,7 +158,7 @@ class Processes:
             begun()
             asked = function, progress is not None
             piece = await asyncio.to_thread(pickle.dumps, asked, pickle.HIGHEST_PROTOCOL)
-            reply = await self._carried_out(piece, progress or _unheard, longest_s or self._longest_s)
+            reply = await self._carried_out(piece, progress or (lambda _: None), longest_s or self._longest_s)
             error, given = await asyncio.to_thread(pickle.loads, reply)  # from our own child
         if isinstance(error, MemoryError):
             raise WorkTooLarge(
@@ -261,10 +261,6 @@ async def _asked(process: Process, piece: bytes, progress: Callable[[float], Non
         if kind == child.REPLY:
             return content
         progress(*child.FRACTION.unpack(content))
-
-
-def _unheard(_fraction: float) -> None:
-    """Nobody asked how far it is."""
 
 
 def _out(process: Process) -> asyncio.StreamReader:

@@ -7,7 +7,6 @@ centre is complete there. A parcel describes the run as of its last event.
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
@@ -22,8 +21,9 @@ from calrig.model.run import TERMINAL, Status
 from calrig.store.bench_tables import DeliveryTable, TakenOrderTable
 from calrig.store.convert import iso_utc, pose_of, run_of, run_row
 from calrig.store.database import Repository
+from calrig.store.event_log import transcripts_of
 from calrig.store.records import Document
-from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
+from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable
 
 Text = Annotated[str, Field(max_length=10_000)]
 
@@ -173,7 +173,7 @@ def next_parcels(session: Session, run: RunTable, epoch: int, before: Delivered)
         parcels.append(wrap.parcel(said, after, block=block))
     if end is not None and are_all:
         after = replace(after, event_seq=end.seq, is_complete=True)
-        parcels.append(wrap.parcel(wrap.run_now(), after, [end], transcripts=wrap.transcripts()))
+        parcels.append(wrap.parcel(wrap.run_now(), after, [end], transcripts=transcripts_of(session, run)))
     return parcels
 
 
@@ -295,11 +295,6 @@ class _Wrapping:
         )
         found = (pose_of(row, self._run.uid, None) for row in self._session.exec(wanted))
         return [packed_row(one.index, one.pose, one.excluded) for one in found]
-
-    def transcripts(self) -> dict[str, Any]:
-        """What went over each port before the run failed."""
-        wanted = select(TranscriptTable).where(TranscriptTable.run_id == self._run.id)
-        return {row.port: zlib.decompress(row.data).decode() for row in self._session.exec(wanted)}
 
 
 ROOM_BYTES = 1_000_000
