@@ -46,12 +46,12 @@ def test_a_unit_that_drifts_is_due_before_it_reaches_its_limit(store: Store) -> 
 def test_an_error_allowed_counts_from_the_calibration_in_force(store: Store, monkeypatch) -> None:
     steady(store)
     runs = [ran(store, "DRIFTS", day, 0.5, 1.0 + 1e-4 * day) for day in (0, 50, 100)]
-    document = {"run_id": runs[-1].id, "range_deg": [-60.0, 60.0]}
 
     class InForce:
         unit = "DRIFTS"
+        run_id = runs[-1].id
 
-    InForce.document = document
+    InForce.document = {"range_deg": [-60.0, 60.0]}
     monkeypatch.setattr(store.revisions, "all_in_force", lambda _serials: [InForce])
     due = within(store, Limit(name="AS", max_error_deg=0.6)).of("DRIFTS")
     assert due.due_method == "drift"
