@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import accumulate
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 from sqlmodel import Session, col, func, or_, select
@@ -113,11 +113,6 @@ class ParcelDocument(_Delivered):
     poses: list[DeliveredPose] = []
     transcripts: dict[str, str] | None = None
     samples: DeliveredSamples | None = None
-
-
-def packed_row(index: int, pose: Pose, excluded: str | None) -> dict[str, Any]:
-    """A pose as an entry of a parcel's `poses`."""
-    return {"index": index, **pose.row(), "excluded": excluded}
 
 
 VERSION = 1
@@ -294,7 +289,7 @@ class _Wrapping:
             .order_by(col(PoseTable.pose_index))
         )
         found = (pose_of(row, self._run.uid, None) for row in self._session.exec(wanted))
-        return [packed_row(one.index, one.pose, one.excluded) for one in found]
+        return [{"index": one.index, **one.pose.row(), "excluded": one.excluded} for one in found]
 
 
 ROOM_BYTES = 1_000_000

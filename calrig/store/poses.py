@@ -212,13 +212,12 @@ class Samples(Repository):
 
     def _labelled(self, numbers: Sequence[int]) -> Iterator[SampleBlock]:
         for first in range(0, len(numbers), BLOCKS_AT_ONCE):
-            wanted = select(SampleBlockTable).where(
-                col(SampleBlockTable.id).in_(numbers[first : first + BLOCKS_AT_ONCE])
-            )
+            some = numbers[first : first + BLOCKS_AT_ONCE]
+            wanted = select(SampleBlockTable).where(col(SampleBlockTable.id).in_(some))
             with self._database.reading() as session:
                 rows = session.exec(wanted.order_by(col(SampleBlockTable.id))).all()
                 blocks = [labelled_block(row) for row in rows]
-            if len(blocks) < len(numbers[first : first + BLOCKS_AT_ONCE]):
+            if len(blocks) < len(some):
                 raise NotFound("raw samples were deleted while they were read")
             yield from blocks
 
