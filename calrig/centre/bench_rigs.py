@@ -322,11 +322,8 @@ def _rig(rig: RigState, standing: Standing, now: datetime) -> Document:
     begun = [run for run in standing.unfinished if run.id == rig.run_id]
     check, last = standing.check, standing.last
     has_failed = last is not None and last.status in NOT_RESOLVED and not last.is_voided
-    shown = rig.model_dump()
-    for of_bench in ("bench", "hall", "last_seen_at", "clamp"):
-        del shown[of_bench]
     return {
-        **shown,
+        **rig.model_dump(exclude={"bench", "hall", "last_seen_at", "clamp"}),
         "run": _run(begun[0]) if begun else None,
         "queued": [_run(run) for run in standing.unfinished if run.id != rig.run_id],
         "unresolved": _run(last) if has_failed and last is not None else None,
@@ -335,7 +332,6 @@ def _rig(rig: RigState, standing: Standing, now: datetime) -> Document:
 
 
 def _run(run: BriefRun) -> Document:
-    told: dict[str, Any] = asdict(run)
+    told: Document = asdict(run)
     del told["is_voided"]
-    progress = dict(told.pop("progress"))
-    return {**told, "progress": progress, "waiting_for": progress.get("waiting_for")}
+    return {**told, "waiting_for": run.progress.get("waiting_for")}
