@@ -167,11 +167,6 @@ def said_outbox(bench: Bench) -> SaidOutbox | None:
     return _read(_OUTBOX, bench.said.get("outbox"))
 
 
-def said_lease_losses(bench: Bench) -> int | None:
-    """How often a bench's lease ran out since its agent began; None where it does not say."""
-    return _read(_COUNT, bench.said.get("lease_losses"))
-
-
 def _read(form: TypeAdapter[T], said: Any) -> T | None:
     try:
         return form.validate_python(said)
@@ -256,7 +251,7 @@ def _as_benches_say(benches: list[Bench]) -> Iterator[Metric]:
         labels=["bench"],
     )
     for bench in benches:
-        if (lost := said_lease_losses(bench)) is not None:
+        if (lost := _read(_COUNT, bench.said.get("lease_losses"))) is not None:
             losses.add_metric([bench.name], lost)
     yield losses
 
