@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Literal, Unpack, get_args
 
@@ -261,12 +261,12 @@ class Runs(Repository):
         *,
         events: Sequence[Announced] = (),
         draft: issued.Draft | None = None,
-        asked: trail.Request | None = None,
+        asked: trail.Act | None = None,
         **changes: Unpack[RunChanges],
     ) -> Run:
         """Changes a run and announces `events`, then, where a status was given, the new state.
 
-        `asked` is what somebody asked for that this does; it is entered in the trail.
+        `asked` is what somebody asked for that this does; it is entered in the trail as of this run.
 
         `started_at` is set by the first `running`, `finished_at` by a terminal status; a run that is resumed
         after an interruption loses `finished_at`. `error` stays unless given: clear it when a run is resumed.
@@ -278,7 +278,7 @@ class Runs(Repository):
             if draft is not None:
                 issued.issue(session, row, draft)
             if asked is not None:
-                trail.append(session, trail.act_on(asked.what, row, asked.who))
+                trail.append(session, replace(asked, unit=row.unit, rig=row.rig, run_id=row.uid))
             return run_of(row)
 
     def unfinished(self, rig: str | None = None) -> list[Run]:
