@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calrig.canonical_json import sha256_of
-from calrig.store.solved import Basis, Solved
+from calrig.store.records import Basis, Solved
 
 ORDERS = [1.0, 2.0, 3.0]
 STD_DEG = 0.004

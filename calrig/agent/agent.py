@@ -20,15 +20,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+import psycopg
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 import calrig
-from calrig.agent.clock import ClockSkew
 from calrig.agent.link import NOW, Centre, Lease, Link, LinkDown, json_of
 from calrig.agent.orders import RigOrders
 from calrig.analysis.errors import RunsError, Unknown
-from calrig.model.clock_skew import skew_in_words
+from calrig.model.clock_skew import is_refused, skew_in_words
 from calrig.runs.presence import BoardCheck
 from calrig.runs.rig_status import said_of
 from calrig.runs.service import RunService
@@ -267,6 +267,44 @@ class Outbox:
             return ()
 
 
+LONGEST_TRIP_S = 2.0
+"""A round trip that takes longer says too little of the moment in it at which the server read its clock."""
+
+
+def utc_now() -> datetime:
+    """The time by this machine's clock."""
+    return datetime.now(UTC)
+
+
+class ClockSkew:
+    """How far this machine's clock is ahead of the server's, as it was measured last.
+
+    Attributes:
+        skew_s: None before it was measured.
+    """
+
+    def __init__(self) -> None:
+        self.skew_s: float | None = None
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the bench may act on no orders because of it."""
+        return is_refused(self.skew_s)
+
+    def measure(self, connection: psycopg.Connection[Any]) -> None:
+        """Ask the server for its time, and compare it with the middle of the question."""
+        before = utc_now()
+        ((there,),) = connection.execute("SELECT clock_timestamp()").fetchall()
+        took = utc_now() - before
+        if took.total_seconds() > LONGEST_TRIP_S:
+            return
+        was_refused = self.is_refused
+        self.skew_s = (before + took / 2 - there).total_seconds()
+        if self.is_refused is not was_refused:
+            said = skew_in_words(self.skew_s) or "its clock agrees with the centre's again"
+            log.warning("this bench: %s", said)
+
+
 BEAT_S = 2.0
 SEES_S = 0.2
 """How soon what is seen of a unit is told."""
@@ -327,7 +365,7 @@ class Heartbeat:
             LinkDown: nobody answered.
         """
         said = self.said()
-        asked_at_s, is_anew = self._lease.asked_at_s(), not self._lease.is_held()
+        asked_at_s, is_anew = self._lease.now_s(), not self._lease.is_held()
         with self._link.centre() as centre, centre.connection.transaction():
             self._clock.measure(centre.connection)
             said["clock_skew_s"] = self._clock.skew_s

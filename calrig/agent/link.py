@@ -160,14 +160,10 @@ class Lease:
     """
 
     def __init__(self, now_s: Callable[[], float]) -> None:
-        self._now_s = now_s
-        self._lock = threading.Lock()
+        self.now_s = now_s
+        self._lock = threading.RLock()
         self._until_s: float | None = None
         self.losses = 0
-
-    def asked_at_s(self) -> float:
-        """The time, to be noted before the centre is asked."""
-        return self._now_s()
 
     def renew(self, asked_at_s: float, *, is_anew: bool) -> bool:
         """The centre answered what was asked then; returns whether the lease was not held before.
@@ -175,7 +171,7 @@ class Lease:
         It is taken anew only where `is_anew`, of who has held back what was ordered before.
         """
         with self._lock:
-            was_held = self._is_held()
+            was_held = self.is_held()
             if was_held or is_anew:
                 self._until_s = asked_at_s + LEASE_S
         return not was_held
@@ -183,13 +179,10 @@ class Lease:
     def is_held(self) -> bool:
         """Whether orders may be acted on."""
         with self._lock:
-            return self._is_held()
-
-    def _is_held(self) -> bool:
-        if self._until_s is None:
+            if self._until_s is None:
+                return False
+            if self.now_s() < self._until_s:
+                return True
+            self._until_s = None
+            self.losses += 1
             return False
-        if self._now_s() < self._until_s:
-            return True
-        self._until_s = None
-        self.losses += 1
-        return False

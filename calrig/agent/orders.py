@@ -65,11 +65,6 @@ def take(centre: Centre, order: Pending) -> tuple[str, Document] | None:
     return None if found is None else (found[0], _document(order.run_id, found[1]))
 
 
-def epochs_taken(centre: Centre, rig: str) -> dict[str, int]:
-    """The newest epoch of each of a rig's runs where that was taken."""
-    return dict(centre.connection.execute(_TAKEN, (centre.bench, rig)).fetchall())
-
-
 def order_of(centre: Centre, run_id: str) -> Document:
     """The order of a run."""
     found = centre.connection.execute(_ORDER, (centre.bench, run_id)).fetchone()
@@ -220,9 +215,9 @@ class RigOrders:
     def _settle(self) -> None:
         """Orders that were taken, and of which the spool does not know: what became of them is in doubt."""
         with self._link.centre() as centre:
-            ordered = epochs_taken(centre, self._rig.name)
+            taken = centre.connection.execute(_TAKEN, (centre.bench, self._rig.name)).fetchall()
         known = self._store.spool.taken_epochs()
-        for run_id, epoch in ordered.items():
+        for run_id, epoch in taken:
             if known.get(run_id, 0) < epoch:
                 with self._link.centre() as centre:
                     document = order_of(centre, run_id)

@@ -38,7 +38,6 @@ class Records:
         file_name: str,
         content: bytes,
         origin: ImportOrigin | None = None,
-        operator: str | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Run:
         """Makes a completed run of a CSV of poses (CONTRACT section 4); `progress` as of `read_and_fit`.
@@ -54,7 +53,7 @@ class Records:
             imported = self.question(unit, origin, content)(progress=progress)
         except CsvError as error:
             raise Invalid(f"{file_name}: {error}") from error
-        return self.keep_imported(imported, unit=unit, rig=rig, file_name=file_name, operator=operator)
+        return self.keep_imported(imported, unit=unit, rig=rig, file_name=file_name, operator=None)
 
     def question(self, unit: str, origin: ImportOrigin, content: bytes | Path) -> Callable[..., Imported]:
         """What reads and fits a file of poses, here or in another process, or raises CsvError.

@@ -6,8 +6,9 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
+from operator import call
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, cast, get_args
 
 from calrig.analysis.certificate_forms import Forms, forms_of
 from calrig.analysis.errors import Conflict, Invalid
@@ -31,8 +32,6 @@ from calrig.store.certificates import Form, IssuedCertificate
 from calrig.store.issued import Revision
 from calrig.store.records import Document, StoredPose
 from calrig.store.trail import EVERY_ENTRY, Entry, What
-
-T = TypeVar("T")
 
 
 def certificate(
@@ -133,12 +132,8 @@ def _limits_at(store: Store, when: datetime) -> list[Limit]:
     )
 
 
-def _here(function: Callable[[], T]) -> T:
-    return function()
-
-
 def certificate_dcc(
-    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: OffloadedCall = _here
+    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: OffloadedCall = call
 ) -> bytes:
     """A preview of a revision's certificate as a DCC, signed where the laboratory has a key.
 
@@ -151,7 +146,7 @@ def certificate_dcc(
 
 
 def certificate_pdf(
-    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: OffloadedCall = _here
+    store: Store, revision: Revision, laboratory: LaboratorySettings, carried_out: OffloadedCall = call
 ) -> bytes:
     """A preview of a revision's certificate as PDF/A-3, the calibration document and its DCC inside.
 
@@ -186,7 +181,7 @@ def issue_certificate(
     by: str | None = None,
     replaces: str | None = None,
     reason: str | None = None,
-    carried_out: OffloadedCall = _here,
+    carried_out: OffloadedCall = call,
 ) -> IssuedCertificate:
     """Issue the certificate of a revision: its bytes and its entry in the trail are kept for ever.
 
@@ -275,7 +270,7 @@ def exported_noise(
     store: Store,
     unit: str,
     exporter: NoiseExporter,
-    carried_out: Callable[[Callable[[], Document]], Document] = lambda function: function(),
+    carried_out: Callable[[Callable[[], Document]], Document] = call,
 ) -> str:
     """The noise of a unit's latest static log in the format of another program; as `noise_of_unit`.
 

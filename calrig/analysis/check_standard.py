@@ -13,7 +13,7 @@ from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import FIGURES, Histories, histories
 from calrig.calibration.histories import RIG_CHART, Checks, checks
 from calrig.model.run import Suspect
-from calrig.store import CheckUnit, Run, Store
+from calrig.store import CheckUnit, ComparisonRow, Run, Store
 from calrig.store.records import Document
 
 
@@ -93,11 +93,8 @@ class _Checked:
     failed: np.ndarray[Any, np.dtype[np.bool_]]
     known: np.ndarray[Any, np.dtype[np.bool_]]
 
-    def at(self, place: int) -> datetime:
-        return self.found.rows[int(self.places[place])].finished_at
-
-    def run_id(self, place: int) -> str:
-        return self.found.rows[int(self.places[place])].run_id
+    def row(self, place: int) -> ComparisonRow:
+        return self.found.rows[int(self.places[place])]
 
 
 def _checked(found: Histories, named: CheckUnit) -> _Checked:
@@ -122,18 +119,18 @@ def _suspect_periods(named: CheckUnit, checked: _Checked) -> list[SuspectPeriod]
     found: list[SuspectPeriod] = []
     passed_at, is_open = named.named_at, False
     for place in range(len(checked.places)):
-        at = checked.at(place)
+        row = checked.row(place)
         if checked.failed[place] and not is_open:
             is_open = True
             reason = (
-                f"check unit {named.unit} failed on rig {named.rig} in run {checked.run_id(place)}, and last "
+                f"check unit {named.unit} failed on rig {named.rig} in run {row.run_id}, and last "
                 f"passed {_when(passed_at) if passed_at != named.named_at else 'never since it was named'}"
             )
-            found.append(SuspectPeriod(named.rig, passed_at, None, checked.run_id(place), reason))
+            found.append(SuspectPeriod(named.rig, passed_at, None, row.run_id, reason))
         elif checked.known[place] and not checked.failed[place]:
             if is_open:
-                found[-1] = replace(found[-1], until=at)
-            passed_at, is_open = at, False
+                found[-1] = replace(found[-1], until=row.finished_at)
+            passed_at, is_open = row.finished_at, False
     return found
 
 
@@ -151,7 +148,7 @@ def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Do
     checked = _checked(found, named)
     now = now or datetime.now(UTC)
     n = len(checked.places)
-    last = checked.at(n - 1) if n else None
+    last = checked.row(n - 1).finished_at if n else None
     passed = [place for place in range(n) if checked.known[place] and not checked.failed[place]]
     due_at = (named.named_at if last is None else last) + timedelta(days=named.interval_days)
     state = _verdict(checked, -1)
@@ -163,7 +160,7 @@ def check_document(store: Store, rig: str, *, now: datetime | None = None) -> Do
         "named_at": named.named_at,
         "state": state,
         "last_check_at": last,
-        "last_passed_at": checked.at(passed[-1]) if passed else None,
+        "last_passed_at": checked.row(passed[-1]).finished_at if passed else None,
         "due_at": due_at,
         "overdue": due_at < now,
         "says": _says(named, state, due_at, overdue=due_at < now),
@@ -183,7 +180,7 @@ def check_chart(store: Store, rig: str) -> tuple[list[datetime], dict[str, list[
         Unknown: the rig has no check unit.
     """
     checked = _checked(histories(store), _named(store, rig))
-    finished_at = [checked.at(place) for place in range(len(checked.places))]
+    finished_at = [checked.row(place).finished_at for place in range(len(checked.places))]
     names = ("bias", "scale")[: len(checked.figures)]
     averages = {name: one.average.tolist() for name, one in zip(names, checked.figures, strict=True)}
     return finished_at, averages, checked.figures[0].limit.tolist() if checked.figures else []
@@ -215,7 +212,7 @@ def _says(named: CheckUnit, state: str, due_at: datetime, *, overdue: bool) -> s
 
 
 def _check(checked: _Checked, place: int) -> Document:
-    row = checked.found.rows[checked.places[place]]
+    row = checked.row(place)
     averages = [float(one.average[place]) for one in checked.figures]
     return {
         "run_id": row.run_id,

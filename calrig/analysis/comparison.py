@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
@@ -91,6 +92,7 @@ def comparison(
     `in_force` is that of `figures_in_force`.
     """
     significance, most = _significance(found)
+    changed = {serial for serial, k in most.items() if found.changes.changed[k]}
     drifting = [
         {
             "unit": serial,
@@ -100,13 +102,10 @@ def comparison(
                 [run["finished_at"] for run in runs], [run["bias_deg"] for run in runs]
             ),
             "p_value": significance.get(serial),
-            "changed": serial in most and bool(found.changes.changed[most[serial]]),
-            "verdict": change_verdict(
-                significance.get(serial),
-                changed=serial in most and bool(found.changes.changed[most[serial]]),
-            ),
+            "changed": serial in changed,
+            "verdict": change_verdict(significance.get(serial), changed=serial in changed),
             "change": change_of(found, most[serial]) if serial in most else None,
-            **due.of(serial).to_dict(),
+            **asdict(due.of(serial)),
         }
         for serial, runs in units.items()
     ]
@@ -116,11 +115,11 @@ def comparison(
         "units": drifting,
         "spread": {figure: _spread(found, units, figure, apart) for figure in ("bias_deg", "scale")},
         "repeatability": {
-            "bias_deg": _repeats(found.pooled[0]),
-            "scale": _repeats(found.pooled[1]),
+            "bias_deg": _repeats(found.changes.pooled[0]),
+            "scale": _repeats(found.changes.pooled[1]),
             "false_discovery_rate": FALSE_DISCOVERY_RATE,
             "rule": RULE,
-            "says": _marked(apart, len(units), known=any(one is not None for one in found.pooled)),
+            "says": _marked(apart, len(units), known=any(one is not None for one in found.changes.pooled)),
         },
     }
 

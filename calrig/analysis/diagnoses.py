@@ -218,7 +218,7 @@ class Acceptance:
         run = stored_run(self._store, run_id)
         if run.result is not None and run.kind != "verification":
             poses = counted_poses(self._store, run_id)
-            run = self._store.runs.set_result(run_id, refitted(self._store, run, poses))
+            run = self._store.runs.update(run_id, result=refitted(self._store, run, poses))
         self._issuer.redraft(run, by=who, reason=why)
         return run
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from calrig.calibration.uncertainty import limit_for
 from calrig.estimation.angles import FloatArray
 from calrig.model.verdict import Limit
 from calrig.store import Store
+from calrig.store.issued import Revision
 
 INTERVAL_DAYS = 365.0
 """Where nobody has set another one (`interval_days` in calrig.toml)."""
@@ -26,17 +27,8 @@ class Due:
 
     due_at: datetime | None
     overdue: bool
-    method: Literal["interval", "drift"] | None
-    says: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """As the API shows it."""
-        return {
-            "due_at": self.due_at,
-            "overdue": self.overdue,
-            "due_method": self.method,
-            "due_says": self.says,
-        }
+    due_method: Literal["interval", "drift"] | None
+    due_says: str
 
 
 NEVER = Due(None, False, None, "It was never calibrated.")
@@ -85,7 +77,8 @@ def due_dates(
     latest = {row.unit: place for place, row in rows if row.run_id not in withdrawn}
     known = store.limits.all() if limits is None else list(limits)
     limited = {serial: limit_for(known, serial, found.rows[place].rig) for serial, place in latest.items()}
-    in_force = _in_force(store, [serial for serial, limit in limited.items() if limit is not None])
+    with_limits = [serial for serial, limit in limited.items() if limit is not None]
+    in_force = {one.unit: one for one in store.revisions.all_in_force(with_limits)} if with_limits else {}
     units = {row.unit: WITHDRAWN for _, row in rows}
     for serial, last in latest.items():
         limit = limited[serial]
@@ -105,23 +98,8 @@ def _due(found: Histories, last: int, drifting: Forecast | None, interval_days: 
     return Due(at, at < now, "interval", f"{interval_days:g} days after its last calibration{why}.")
 
 
-@dataclass(frozen=True, slots=True)
-class _InForce:
-    """The run that a unit's calibration in force is from, and the range it is for."""
-
-    run_id: str
-    range_deg: tuple[float, float]
-
-
-def _in_force(store: Store, serials: Sequence[str]) -> dict[str, _InForce]:
-    if not serials:
-        return {}
-    documents = ((one.unit, one.document) for one in store.revisions.all_in_force(serials))
-    return {unit: _InForce(doc["run_id"], tuple(doc["range_deg"])) for unit, doc in documents}
-
-
 def _by_drift(
-    found: Histories, places: IntArray, limit: Limit, in_force: _InForce | None, interval_days: float
+    found: Histories, places: IntArray, limit: Limit, in_force: Revision | None, interval_days: float
 ) -> Forecast | None:
     """The soonest of the forecasts of all that a limit is on; None where no history tells anything.
 
@@ -144,7 +122,7 @@ def _by_drift(
 
 
 def _limited(
-    found: Histories, places: IntArray, limit: Limit, in_force: _InForce | None
+    found: Histories, places: IntArray, limit: Limit, in_force: Revision | None
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, Bounds]]:
     """Days, values and variances of each figure that a limit is on, and its bounds."""
     variances = [found.variance(figure) for figure in range(2)]
@@ -160,7 +138,7 @@ def _limited(
     ids = [found.rows[place].run_id for place in places]
     if limit.max_error_deg is not None and in_force is not None and in_force.run_id in ids:
         base = ids.index(in_force.run_id)
-        for end in in_force.range_deg:
+        for end in in_force.document["range_deg"]:
             error = bias - bias[base] + end * (scale - scale[base])
             variance = bias_var + end**2 * scale_var
             yield day[known], error[known], variance[known], (-limit.max_error_deg, limit.max_error_deg)

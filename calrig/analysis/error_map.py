@@ -17,7 +17,6 @@ from calrig.analysis.stored_runs import ended_run
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.separation import MountedPoses, StageMap
 from calrig.model.solution import ErrorMap
-from calrig.store.records import Run
 
 if TYPE_CHECKING:
     from calrig.calibration.separation import Solution
@@ -42,15 +41,10 @@ def basis_of(store: Store, rig: str) -> Basis:
     """The newest runs of a rig that count, at most `MOST_RUNS`; those at several clamping angles first."""
     runs, _ = store.runs.page(rig=rig, status="completed", limit=LOOKS_BACK)
     counted = [run for run in runs if run.voided is None and run.kind != "static"]
-    chosen = sorted(counted, key=lambda run: not _is_remounted(run))[:MOST_RUNS]
+    # any angle but 0 is a clamping otherwise than usual
+    chosen = sorted(counted, key=lambda run: not any((run.plan or {}).get("mounts_deg") or ()))[:MOST_RUNS]
     numbers = ((run.id, store.poses.count(run.id)) for run in chosen)
     return Basis(tuple(one for one in numbers if one[1]), len({run.unit for run in chosen}))
-
-
-def _is_remounted(run: Run) -> bool:
-    """Whether a unit was clamped otherwise than usual for it."""
-    mounts = (run.plan or {}).get("mounts_deg") or [0.0]
-    return any(angle != 0.0 for angle in mounts)
 
 
 def poses_by_mounting(store: Store, basis: Basis) -> list[MountedPoses]:

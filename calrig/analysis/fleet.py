@@ -190,11 +190,11 @@ def _summed(
     pairs: tuple[tuple[str, str], ...], pair: Keys, place: Keys, sums: FloatArray, counts: FloatArray
 ) -> PlaceSums:
     """Rows of the same pair and place as one."""
-    order = np.argsort(pair * (2 * APPROACHES * MIDDLE) + place)
-    pair, place = pair[order], place[order]
-    begins = np.flatnonzero(np.diff(pair, prepend=-1) | np.diff(place, prepend=-1)) if len(pair) else order
     if len(pair) == 0:
         return PlaceSums(pairs, pair, place, sums, counts)
+    order = np.argsort(pair * (2 * APPROACHES * MIDDLE) + place)
+    pair, place = pair[order], place[order]
+    begins = np.flatnonzero(np.diff(pair, prepend=-1) | np.diff(place, prepend=-1))
     summed, counted = (np.add.reduceat(values[order], begins) for values in (sums, counts))
     return PlaceSums(pairs, pair[begins], place[begins], summed, counted)
 

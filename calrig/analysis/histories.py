@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import compress, pairwise
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from calrig.calibration.histories import (
     ControlChart,
     Differences,
     IntArray,
-    Repeatability,
     Runs,
     changes,
     control_chart,
@@ -99,11 +98,6 @@ class Histories:
         share = max(pooled.between_days, SMALLEST[figure]) ** 2 / variance
         return np.asarray(np.minimum(pooled.freedom / share**2, MOST_FREEDOM), dtype=np.float64)
 
-    @property
-    def pooled(self) -> tuple[Repeatability | None, ...]:
-        """How bias and scale repeat; None where the runs do not tell."""
-        return self.changes.pooled
-
 
 MOST_FREEDOM = 1e9
 """As good as known."""
@@ -169,7 +163,8 @@ def _arrays(store: Store, rows: list[ComparisonRow]) -> tuple[list[str], FloatAr
     """Serials of the units, (N,) days and the figures of runs that come by unit, the oldest first."""
     serials = list(dict.fromkeys(row.unit for row in rows))
     rigs = {name: place for place, name in enumerate(dict.fromkeys(row.rig for row in rows))}
-    unit = np.repeat(np.arange(len(serials)), _counts(rows)) if rows else np.empty(0, dtype=np.intp)
+    units = {serial: place for place, serial in enumerate(serials)}
+    unit = np.array([units[row.unit] for row in rows], dtype=np.intp)
     rig = np.array([rigs[row.rig] for row in rows], dtype=np.intp)
     day = np.array([row.finished_at.timestamp() / SECONDS_PER_DAY for row in rows])
     _, day_of_rig = np.unique(np.floor(day).astype(np.intp) * len(rigs) + rig, return_inverse=True)
@@ -185,11 +180,6 @@ def _arrays(store: Store, rows: list[ComparisonRow]) -> tuple[list[str], FloatAr
 def _changes(figures: bytes) -> Changes:
     """Return the changes of pickled `Runs`; cached, because a page asks many times for the same ones."""
     return changes(pickle.loads(figures))  # noqa: S301 (pickled by the caller, never stored)
-
-
-def _counts(rows: list[ComparisonRow]) -> IntArray:
-    begins = np.flatnonzero([True, *(a.unit != b.unit for a, b in pairwise(rows))])
-    return np.diff(np.append(begins, len(rows)))
 
 
 def _column(rows: list[ComparisonRow], name: str) -> FloatArray:

@@ -19,16 +19,11 @@ from calrig.store import Store
 from calrig.store.records import Document
 
 
-def limit_of(given: LimitSettings) -> Limit:
-    """Return the limit with these settings."""
-    return Limit(**given.model_dump())
-
-
 def keep_configured(settings: Settings, store: Store) -> None:
     """Store the limits of the configuration, if it has any, for everything that reads the store."""
     if settings.limit:
         found = f"as {settings.file} has them"
-        store.limits.replace([limit_of(one) for one in settings.limit], who=None, reason=found)
+        store.limits.replace(settings.limit, who=None, reason=found)
 
 
 def replace(
@@ -50,7 +45,7 @@ def replace(
         if name in names[:place]:
             said = f"Limit {place + 1} is named {name!r} like another one: a verdict names its limit"
             raise Invalid(said, [f"[{place}].name"])
-    store.limits.replace([limit_of(one) for one in given], who=who)
+    store.limits.replace(given, who=who)
     return store.limits.all()
 
 

@@ -117,7 +117,7 @@ def _mend_result(store: Store, entry: Entry, _fits: Fits) -> list[str]:
     is_before = _is_same(run.result, refitted(store, run, poses, before))
     if _is_same(run.result, result) or not is_before:
         return []
-    store.runs.set_result(run.id, result)
+    store.runs.update(run.id, result=result)
     return [_told(store, entry, run, "its result")]
 
 

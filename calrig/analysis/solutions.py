@@ -18,8 +18,7 @@ from calrig.estimation.gyro import MISSING_PERIODS, moves_about_axes
 from calrig.model.run import mount_axis
 from calrig.model.solution import Frame
 from calrig.run_ids import short_name
-from calrig.store.records import Run
-from calrig.store.solved import Basis, Solved
+from calrig.store.records import Basis, Run, Solved
 
 if TYPE_CHECKING:
     from calrig.store import Store

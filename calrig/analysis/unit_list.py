@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Literal
 
@@ -118,7 +118,7 @@ def listed_units(
                 n_runs=unit.n_runs,
                 last_run_at=unit.last_run_at,
                 created_at=unit.created_at,
-                **due.of(unit.serial).to_dict(),
+                **asdict(due.of(unit.serial)),
             )
         )
     return listed

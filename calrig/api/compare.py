@@ -9,12 +9,12 @@ from fastapi.responses import Response
 
 from calrig.analysis.comparison import comparison_json
 from calrig.analysis.histories import unit_changes
-from calrig.analysis.offloaded import with_store
 from calrig.api.context import ApiContext, Context
 from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.routes import answers
 from calrig.model.comparison import Change, Comparison
 from calrig.store import Store
+from calrig.store.store import with_store
 
 router = APIRouter(tags=["units"])
 T = TypeVar("T")

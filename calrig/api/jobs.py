@@ -15,7 +15,6 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
 from calrig.analysis.errors import Conflict, Unknown
-from calrig.analysis.offloaded import with_store
 from calrig.api.access import share_of
 from calrig.api.context import Context, context_of
 from calrig.api.errors import CLIENT_LEFT
@@ -24,6 +23,7 @@ from calrig.api.routes import answers
 from calrig.model.service import JobState
 from calrig.runs.single_flight import SharedTask
 from calrig.store import Store
+from calrig.store.store import with_store
 
 router = APIRouter(tags=["jobs"])
 

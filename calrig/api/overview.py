@@ -159,7 +159,7 @@ async def overdue_units(context: ApiContext) -> list[OverdueAnswer]:
 
 def _overdue(context: ApiContext) -> list[OverdueAnswer]:
     found = [
-        OverdueAnswer(unit=unit, due_at=due.due_at, due_method=due.method, due_says=due.says)
+        OverdueAnswer(unit=unit, due_at=due.due_at, due_method=due.due_method, due_says=due.due_says)
         for unit, due in context.due_dates().units.items()
         if due.overdue and due.due_at is not None
     ]

@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
-from pydantic import AwareDatetime, BaseModel, Field, ValidationError
+from pydantic import AwareDatetime, BaseModel, Field, TypeAdapter, ValidationError
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.revisions import Releases
@@ -147,11 +147,9 @@ class BenchRigs:
             return []
 
 
-# No `from __future__ import annotations`: pydantic reads the annotations of the classes.
-
-
 Count = Annotated[int, Field(ge=0, le=2**53)]
-Said = TypeVar("Said", bound=BaseModel)
+T = TypeVar("T")
+Labels = TypeVar("Labels", bound=tuple[str, ...])
 
 
 class SaidOutbox(BaseModel):
@@ -161,24 +159,17 @@ class SaidOutbox(BaseModel):
     oldest_at: AwareDatetime | None
 
 
-class _LeaseLosses(BaseModel):
-    lease_losses: Count
+_OUTBOX, _COUNT = TypeAdapter(SaidOutbox), TypeAdapter[int](Count)
 
 
 def said_outbox(bench: Bench) -> SaidOutbox | None:
     """What a bench has yet to deliver; None where it does not say."""
-    return _read(SaidOutbox, bench.said.get("outbox"))
+    return _read(_OUTBOX, bench.said.get("outbox"))
 
 
-def said_lease_losses(bench: Bench) -> int | None:
-    """How often a bench's lease ran out since its agent began; None where it does not say."""
-    said = _read(_LeaseLosses, bench.said)
-    return None if said is None else said.lease_losses
-
-
-def _read(model: type[Said], said: Any) -> Said | None:
+def _read(form: TypeAdapter[T], said: Any) -> T | None:
     try:
-        return model.model_validate(said)
+        return form.validate_python(said)
     except ValidationError:
         return None
 
@@ -215,62 +206,53 @@ class BenchCounts(Collector):
         yield from _as_benches_say(benches)
 
 
+def _gauge(name: str, says: str, values: Mapping[Labels, float], *more: str) -> Metric:
+    """A family by bench and, where it has more labels, by these."""
+    family = GaugeMetricFamily(name, says, labels=["bench", *more])
+    for labels, value in values.items():
+        family.add_metric(labels, value)
+    return family
+
+
 def _orders(rigs: list[tuple[str, str]], backlog: Backlog) -> Iterator[Metric]:
     """By rig, those without any as well: a rate or an alarm needs the zero."""
-    by = ["bench", "rig"]
-    number = GaugeMetricFamily("calrig_orders_waiting", "Runs that no bench has taken yet.", labels=by)
-    age = GaugeMetricFamily("calrig_orders_age_seconds", "Age of the oldest of them.", labels=by)
-    for bench, rig in dict.fromkeys([*rigs, *backlog.orders]):
-        waiting = backlog.orders.get((bench, rig), NOTHING)
-        number.add_metric([bench, rig], waiting.number)
-        age.add_metric([bench, rig], waiting.age_s)
-    yield number
-    yield age
+    waiting = {key: backlog.orders.get(key, NOTHING) for key in [*rigs, *backlog.orders]}
+    number = {key: one.number for key, one in waiting.items()}
+    age = {key: one.age_s for key, one in waiting.items()}
+    yield _gauge("calrig_orders_waiting", "Runs that no bench has taken yet.", number, "rig")
+    yield _gauge("calrig_orders_age_seconds", "Age of the oldest of them.", age, "rig")
 
 
 def _deliveries(benches: list[str], backlog: Backlog) -> Iterator[Metric]:
-    by = ["bench"]
-    number = GaugeMetricFamily("calrig_parcels_waiting", "Parcels delivered and not unpacked.", labels=by)
-    age = GaugeMetricFamily("calrig_parcels_age_seconds", "Age of the oldest of them.", labels=by)
-    commands = GaugeMetricFamily(
-        "calrig_commands_unanswered",
-        "Commands of the last hour that a bench did not answer in time.",
-        labels=by,
-    )
-    for bench in dict.fromkeys([*benches, *backlog.parcels, *backlog.unanswered]):
-        waiting = backlog.parcels.get(bench, NOTHING)
-        number.add_metric([bench], waiting.number)
-        age.add_metric([bench], waiting.age_s)
-        commands.add_metric([bench], backlog.unanswered.get(bench, 0))
-    yield number
-    yield age
-    yield commands
+    names = dict.fromkeys([*benches, *backlog.parcels, *backlog.unanswered])
+    waiting = {(name,): backlog.parcels.get(name, NOTHING) for name in names}
+    number = {key: one.number for key, one in waiting.items()}
+    age = {key: one.age_s for key, one in waiting.items()}
+    unanswered = {(name,): backlog.unanswered.get(name, 0) for name in names}
+    yield _gauge("calrig_parcels_waiting", "Parcels delivered and not unpacked.", number)
+    yield _gauge("calrig_parcels_age_seconds", "Age of the oldest of them.", age)
+    says = "Commands of the last hour that a bench did not answer in time."
+    yield _gauge("calrig_commands_unanswered", says, unanswered)
 
 
 def _as_benches_say(benches: list[Bench]) -> Iterator[Metric]:
     """What each last said of itself; of a bench that never spoke there is nothing to tell."""
-    by, now = ["bench"], datetime.now(UTC)
-    silence = GaugeMetricFamily("calrig_bench_silence_seconds", "Age of a bench's last word.", labels=by)
-    parcels = GaugeMetricFamily(
-        "calrig_bench_outbox_parcels", "Pieces of runs a bench had yet to deliver.", labels=by
-    )
-    age = GaugeMetricFamily("calrig_bench_outbox_age_seconds", "Age of the oldest event of these.", labels=by)
+    now = datetime.now(UTC)
+    silence = {(one.name,): max(0.0, one.seen_ago_s) for one in benches if one.seen_ago_s is not None}
+    outboxes = {(one.name,): said for one in benches if (said := said_outbox(one)) is not None}
+    age = {key: max(0.0, (now - (said.oldest_at or now)).total_seconds()) for key, said in outboxes.items()}
+    parcels = {key: said.parcels for key, said in outboxes.items()}
+    yield _gauge("calrig_bench_silence_seconds", "Age of a bench's last word.", silence)
+    yield _gauge("calrig_bench_outbox_parcels", "Pieces of runs a bench had yet to deliver.", parcels)
+    yield _gauge("calrig_bench_outbox_age_seconds", "Age of the oldest event of these.", age)
     losses = CounterMetricFamily(
-        "calrig_bench_lease_losses", "How often a bench lost its lease since its agent began.", labels=by
+        "calrig_bench_lease_losses",
+        "How often a bench lost its lease since its agent began.",
+        labels=["bench"],
     )
     for bench in benches:
-        if bench.seen_ago_s is not None:
-            silence.add_metric([bench.name], max(0.0, bench.seen_ago_s))
-        outbox, lost = said_outbox(bench), said_lease_losses(bench)
-        if outbox is not None:
-            since = outbox.oldest_at or now
-            parcels.add_metric([bench.name], outbox.parcels)
-            age.add_metric([bench.name], max(0.0, (now - since).total_seconds()))
-        if lost is not None:
+        if (lost := _read(_COUNT, bench.said.get("lease_losses"))) is not None:
             losses.add_metric([bench.name], lost)
-    yield silence
-    yield parcels
-    yield age
     yield losses
 
 
@@ -335,11 +317,8 @@ def _rig(rig: RigState, standing: Standing, now: datetime) -> Document:
     begun = [run for run in standing.unfinished if run.id == rig.run_id]
     check, last = standing.check, standing.last
     has_failed = last is not None and last.status in NOT_RESOLVED and not last.is_voided
-    shown = rig.model_dump()
-    for of_bench in ("bench", "hall", "last_seen_at", "clamp"):
-        del shown[of_bench]
     return {
-        **shown,
+        **rig.model_dump(exclude={"bench", "hall", "last_seen_at", "clamp"}),
         "run": _run(begun[0]) if begun else None,
         "queued": [_run(run) for run in standing.unfinished if run.id != rig.run_id],
         "unresolved": _run(last) if has_failed and last is not None else None,
@@ -348,7 +327,6 @@ def _rig(rig: RigState, standing: Standing, now: datetime) -> Document:
 
 
 def _run(run: BriefRun) -> Document:
-    told: dict[str, Any] = asdict(run)
+    told: Document = asdict(run)
     del told["is_voided"]
-    progress = dict(told.pop("progress"))
-    return {**told, "progress": progress, "waiting_for": progress.get("waiting_for")}
+    return {**told, "waiting_for": run.progress.get("waiting_for")}

@@ -131,9 +131,7 @@ def _checked_url(url: str) -> str:
     if not is_centre(url):
         raise InputError("an agent needs the URL of its centre's database: --db postgresql+psycopg://…")
     try:
-        import psycopg  # noqa: F401 (whether it is there)
-
-        from calrig.store.postgresql.agent_url import is_on_this_machine
+        from calrig.store.postgresql.set_up import is_on_this_machine
     except ModuleNotFoundError as error:
         raise WorkError(f"an agent needs {error.name}: {EXTRA}") from error
     parsed = make_url(url)

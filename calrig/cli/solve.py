@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from calrig.calibration.separation import MountedPoses
     from calrig.client import Client
     from calrig.model.solution import Frame, SolutionDocument, SolvedUnit, SolvedValue
-    from calrig.store.solved import Solved
+    from calrig.store.records import Solved
 
 
 NOT_DRAWN = "solve: --plot is of units clamped by one face: leave it out, nothing was solved"
@@ -350,7 +350,7 @@ def _solved_there(client: Client, wanted: SolutionRequest, *, with_files: bool, 
     `with_files` adds calibrations and stage map, `with_poses` the pose residuals.
     """
     from calrig.model.run import mount_axis
-    from calrig.store.solved import Solved
+    from calrig.store.records import Solved
 
     runs = [whole_id_there(client, typed) for typed in wanted.runs]
     records = (client.run(run_id).record for run_id in runs)

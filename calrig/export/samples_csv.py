@@ -12,7 +12,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from calrig.store.records import FloatArray, RawSamples, SampleBlock
+from calrig.estimation.angles import FloatArray
+from calrig.store.records import RawSamples, SampleBlock
 
 COLUMNS = (
     "time_s",

@@ -7,23 +7,20 @@ from pydantic import Field
 
 from calrig.model.base import Model
 from calrig.model.diagnosis import EffectFound
-from calrig.model.result import Extremes, FittedLine
+from calrig.model.result import Extremes, FittedLine, Gyro
 from calrig.model.run import Suspect
 from calrig.model.verdict import Answer, Left
 
 ChangeVerdict = Literal["changed", "unchanged", "not_known"]
 
 
-class GyroDifference(Model):
+class GyroDifference(Gyro):
     """A run's gyro figures less those of the run before; `…_std` are of the noise of both runs alone.
 
     They are no part of the test for changes: the bias of a gyro drifts with time and temperature.
     """
 
     bias_dps: list[float | None] = Field(min_length=3, max_length=3, description="Of x, y and z.")
-    bias_std_dps: list[float | None] = Field(min_length=3, max_length=3)
-    scale: float | None
-    scale_std: float | None
 
 
 class Difference(Model):

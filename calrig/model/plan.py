@@ -224,12 +224,8 @@ class Plan(BaseModel):
     def _n_poses(self) -> int:
         if self.kind == "sweep":
             return 1 + self.sweeps * (self._n_steps() + 1)
-        return len(self.mounts_deg) * self.sweeps * self._n_elevations()
-
-    def _n_elevations(self) -> int:
-        if self.elevations_deg is not None:
-            return len(self.elevations_deg)
-        return self._n_steps() + 1
+        n_elevations = self._n_steps() + 1 if self.elevations_deg is None else len(self.elevations_deg)
+        return len(self.mounts_deg) * self.sweeps * n_elevations
 
     def _n_steps(self) -> int:
         """Steps from start to stop, the last one shorter where the way is no whole number of them."""

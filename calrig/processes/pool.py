@@ -11,13 +11,13 @@ import os
 import pickle
 import sys
 from asyncio.subprocess import PIPE, Process
-from collections.abc import Callable
-from contextlib import suppress
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from typing import Protocol, TypeVar
 
 from calrig.processes import child
 from calrig.processes.threads import ONE_THREAD
-from calrig.processes.turns import Turns
 
 T = TypeVar("T")
 
@@ -47,6 +47,65 @@ class WorkTooLarge(WorkError):  # noqa: N818
 
 class WorkLost(WorkError):  # noqa: N818
     """Its process was ended by something outside of calrig; another one takes its place."""
+
+
+class Turns:
+    """Slots that keys take in turn (round robin), each key's own requests in their order.
+
+    Of those that wait, the key served longest ago goes next. Used in one event loop.
+
+    Args:
+        slots: how many are taken at once.
+
+    Attributes:
+        in_hand: how many requests of each key have a slot or wait for one.
+    """
+
+    def __init__(self, slots: int) -> None:
+        self.in_hand: Counter[str] = Counter()
+        self._free = slots
+        self._waiting: dict[str, deque[asyncio.Future[None]]] = {}
+        """By key; the key that goes next is first."""
+
+    @asynccontextmanager
+    async def slot(self, key: str) -> AsyncIterator[None]:
+        """Hold a slot for the block, once it is the key's turn."""
+        self.in_hand[key] += 1
+        try:
+            await self._take(key)
+            try:
+                yield
+            finally:
+                self._pass_on()
+        finally:
+            self.in_hand[key] -= 1
+            if not self.in_hand[key]:
+                del self.in_hand[key]
+
+    async def _take(self, key: str) -> None:
+        if self._free:
+            self._free -= 1
+            return
+        turn = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(key, deque()).append(turn)
+        try:
+            await turn
+        except asyncio.CancelledError:
+            if not turn.cancelled():  # the slot came just before
+                self._pass_on()
+            raise
+
+    def _pass_on(self) -> None:
+        while self._waiting:
+            key = next(iter(self._waiting))
+            turns = self._waiting.pop(key)
+            turn = turns.popleft()
+            if turns:
+                self._waiting[key] = turns  # behind the other keys
+            if not turn.done():  # who waited may have left
+                turn.set_result(None)
+                return
+        self._free += 1
 
 
 class Processes:
@@ -99,7 +158,7 @@ class Processes:
             begun()
             asked = function, progress is not None
             piece = await asyncio.to_thread(pickle.dumps, asked, pickle.HIGHEST_PROTOCOL)
-            reply = await self._carried_out(piece, progress or _unheard, longest_s or self._longest_s)
+            reply = await self._carried_out(piece, progress or (lambda _: None), longest_s or self._longest_s)
             error, given = await asyncio.to_thread(pickle.loads, reply)  # from our own child
         if isinstance(error, MemoryError):
             raise WorkTooLarge(
@@ -202,10 +261,6 @@ async def _asked(process: Process, piece: bytes, progress: Callable[[float], Non
         if kind == child.REPLY:
             return content
         progress(*child.FRACTION.unpack(content))
-
-
-def _unheard(_fraction: float) -> None:
-    """Nobody asked how far it is."""
 
 
 def _out(process: Process) -> asyncio.StreamReader:

@@ -19,7 +19,7 @@ from calrig.runs.mounting import Mounting, OwnErrors, angle_about_deg
 from calrig.runs.recorder import Recorder
 from calrig.runs.rig import Rig
 from calrig.store import SampleBlock
-from calrig.store.trail import Request
+from calrig.store.trail import Act
 
 Phase = Literal["move", "dwell"]
 
@@ -268,7 +268,7 @@ class AcquisitionLoop:
             refusal = self.why_not(mount, errors)
             if refusal is None:
                 self.control.resume()  # whoever wished for a pause meanwhile has had it
-                self.recorder.state("running", asked=Request("resumed", go.who))
+                self.recorder.state("running", asked=Act("resumed", go.who))
         finally:
             go.answer(refusal)
         self.forget(self.synchronise())

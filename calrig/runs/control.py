@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from calrig.instruments.clock import WALL, Clock, Event
 from calrig.instruments.errors import InstrumentError
 from calrig.model.run import Status
-from calrig.store.trail import Request
+from calrig.store.trail import Act
 
 log = logging.getLogger(__name__)
 
@@ -27,9 +27,9 @@ class End:
     who: str | None = None
 
     @property
-    def asked(self) -> Request | None:
+    def asked(self) -> Act | None:
         """What is entered in the trail; None unless a person asked for it."""
-        return Request("aborted", self.who) if self.status == "aborted" else None
+        return Act("aborted", self.who) if self.status == "aborted" else None
 
 
 class Ended(Exception):  # noqa: N818 (a request that was met, not an error)
@@ -155,14 +155,14 @@ class Control:
         self._hold.clear()
 
     @property
-    def paused(self) -> Request:
+    def paused(self) -> Act:
         """Who wished for the pause."""
-        return Request("paused", self._held_by)
+        return Act("paused", self._held_by)
 
     @property
-    def resumed(self) -> Request:
+    def resumed(self) -> Act:
         """Who ended it."""
-        return Request("resumed", self._resumed_by)
+        return Act("resumed", self._resumed_by)
 
     @contextmanager
     def waiting(self) -> Iterator[None]:

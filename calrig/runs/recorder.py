@@ -19,7 +19,7 @@ from calrig.instruments.clock import Clock
 from calrig.model.run import AT_REST, TERMINAL, Mount, Progress, Status
 from calrig.store import Announced, RunChanges, SampleBlock, Store
 from calrig.store.issued import Draft
-from calrig.store.trail import Request
+from calrig.store.trail import Act
 
 
 class Bus:
@@ -203,7 +203,7 @@ class Recorder:
         status: Status,
         changes: RunChanges | None = None,
         draft: Draft | None = None,
-        asked: Request | None = None,
+        asked: Act | None = None,
     ) -> None:
         """Changes the run's status and says so; all that is given is stored in the same transaction.
 

@@ -21,7 +21,7 @@ from calrig.runs.rig import is_lost_since, resumed_by, stop_stage
 from calrig.runs.stopping import STOPPED
 from calrig.settings import RigSettings
 from calrig.store import Run, RunChanges, Store, StoreError
-from calrig.store.trail import Request
+from calrig.store.trail import Act
 
 log = logging.getLogger(__name__)
 
@@ -80,7 +80,7 @@ class RunQueue:
                 self._waiting.setdefault(rig_name, []).append(run_id)
         if rig_name is None:
             return False
-        self._store.runs.update(run_id, error=None, asked=Request("resumed", who))
+        self._store.runs.update(run_id, error=None, asked=Act("resumed", who))
         self.next(rig_name)
         return True
 
@@ -93,7 +93,7 @@ class RunQueue:
                     waiting.remove(run_id)
                     found = True
         if found:
-            self._end(run_id, {"status": "aborted", "error": None}, Request("aborted", who))
+            self._end(run_id, {"status": "aborted", "error": None}, Act("aborted", who))
         return found
 
     def call_off(self, rig_name: str, who: str | None = None) -> Callable[[], None]:
@@ -109,7 +109,7 @@ class RunQueue:
         def tell() -> None:
             for run_id in off:
                 try:
-                    asked = Request("aborted", who)
+                    asked = Act("aborted", who)
                     self._end(run_id, {"status": "aborted", "error": STOPPED}, asked)
                 except StoreError as error:  # of a stop that was made, the store's trouble makes no failure
                     log.error("run %s is not told of as aborted; it does not begin: %s", run_id, error)
@@ -149,7 +149,7 @@ class RunQueue:
             log.error("run %s cannot begin (%s) and the store cannot be told: %s", run_id, why, error)
             self._hold(rig_name, run_id)
 
-    def _end(self, run_id: str, changes: RunChanges, asked: Request | None = None) -> None:
+    def _end(self, run_id: str, changes: RunChanges, asked: Act | None = None) -> None:
         run = self._store.runs.update(run_id, asked=asked, **changes)
         self._meter.of_run(run.rig or "").ended(run.status)
         self._bus.wake(run_id)

@@ -30,7 +30,7 @@ from calrig.runs.worker import Worker
 from calrig.settings import RigSettings
 from calrig.store import Run, Store, StoreError
 from calrig.store.records import Document
-from calrig.store.trail import Request
+from calrig.store.trail import Act
 
 log = logging.getLogger(__name__)
 
@@ -185,7 +185,7 @@ class RunService(Service):
                 return self.run(run_id)
             run = self.run(run_id)
             if run.status == "interrupted" and self.crew.of_run(run_id) is None:
-                asked = Request("aborted", who)
+                asked = Act("aborted", who)
                 aborted = self.store.runs.update(run_id, status="aborted", asked=asked)
                 self.bus.wake(run_id)
                 return aborted
@@ -285,7 +285,7 @@ class RunService(Service):
         with self._lock:
             self.crew.require_free(settings.name, run.id)
             check_transition(run.id, self.run(run.id).status, "queued")  # somebody else may have been first
-            asked = Request("resumed", who)
+            asked = Act("resumed", who)
             self.store.runs.update(run.id, status="queued", error=None, asked=asked)
             self._start_worker(task)
         return self.run(run.id)

@@ -32,7 +32,7 @@ from calrig.runs.resume import require_same_devices
 from calrig.runs.rig import Rig, StagePosition, open_rig, require_suited
 from calrig.store import Run, RunChanges, Store, StoreError, StoreUnavailableError
 from calrig.store.issued import Draft
-from calrig.store.trail import Request
+from calrig.store.trail import Act
 
 
 class RunExecution:
@@ -319,7 +319,7 @@ class Worker:
                 break
         self._ended(self)
 
-    def _asked(self, status: Status) -> Request | None:
+    def _asked(self, status: Status) -> Act | None:
         """What somebody asked for, where that is how the run ended."""
         end = self.control.asked
         return None if end is None or end.status != status else end.asked

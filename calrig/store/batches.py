@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Literal, cast
 
@@ -140,12 +140,5 @@ def _batch(session: Session, batch_id: str) -> Batch:
 
 
 def _row(batch_id: str, turn: Turn) -> BatchUnitTable:
-    return BatchUnitTable(
-        batch=batch_id,
-        position=turn.position,
-        unit=turn.unit,
-        rig=turn.rig,
-        run_uid=turn.run_id,
-        state=turn.state,
-        why=turn.why,
-    )
+    said = asdict(turn)
+    return BatchUnitTable(batch=batch_id, run_uid=said.pop("run_id"), **said)

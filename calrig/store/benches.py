@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from functools import cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Unpack
 
 from sqlalchemy import and_, delete, not_, text, update
 from sqlmodel import Session, col, func, select
@@ -23,8 +23,8 @@ from calrig.store.bench_tables import PROTOCOL, BenchCommandTable, BenchTable, P
 from calrig.store.convert import run_of, run_row
 from calrig.store.database import Repository, revisions
 from calrig.store.errors import NotFound, Refused
-from calrig.store.records import Document, Run
-from calrig.store.runs import change, first_progress, new_row
+from calrig.store.records import Document, Run, RunColumns
+from calrig.store.runs import change, new_row
 from calrig.store.tables import EventTable, RunTable
 from calrig.store.trail import Act
 
@@ -238,16 +238,11 @@ class Orders(Repository):
         *,
         bench: str,
         rig: str,
-        unit: str,
-        plan: Document,
-        provenance: Document,
         poses_total: int,
-        operator: str | None = None,
         who: str | None = None,
-        note: str | None = None,
-        follows: str | None = None,
         more: Mapping[str, Any] | None = None,
         waits: bool = False,
+        **columns: Unpack[RunColumns],
     ) -> Run:
         """Makes a queued run and orders its bench to begin it, all at once or not at all.
 
@@ -262,29 +257,14 @@ class Orders(Repository):
             if not waits:
                 _require_free(session, bench, rig)
             row = new_row(
-                session,
-                now,
-                uid=new_run_id(),
-                unit=unit,
-                rig=rig,
-                status="queued",
-                plan=plan,
-                progress=first_progress(0, poses_total, "queued"),
-                follows=follows,
-                provenance=provenance,
-                operator=operator,
-                note=note,
+                session, now, columns, uid=new_run_id(), rig=rig, status="queued", poses_total=poses_total
             )
             event_log.append(session, row, [event_log.state(row)])
-            trail.append(session, Act("started", who=who, unit=unit, rig=rig, run_id=row.uid), now)
+            trail.append(session, trail.act_on("started", row, who), now)
             document = {
-                "unit": unit,
-                "plan": plan,
-                "operator": operator,
-                "note": note,
-                "follows": follows,
+                **{name: columns.get(name) for name in ("unit", "plan", "operator", "note", "follows")},
                 "poses_total": poses_total,
-                "provenance": provenance,
+                "provenance": columns["provenance"],
                 **(more or {}),
             }
             order = RunOrderTable(

@@ -57,7 +57,7 @@ class Certificates(Repository):
             Refused: that one is of another unit, or was replaced already; or the revision has another status
                 since the bytes were made.
         """
-        said = {name: getattr(issued, name) for name in _COLUMNS}
+        said = issued.model_dump(exclude={"replaced_by"})
         with self._database.writing() as session:
             revision = session.get(IssuedCalibrationTable, (issued.unit, issued.revision))
             now = None if revision is None else revision.status
@@ -132,14 +132,9 @@ class Certificates(Repository):
         with self._database.reading() as session:
             by = dict(session.exec(replaced).all())
             return [
-                IssuedCertificate(
-                    **{name: getattr(row, name) for name in _COLUMNS}, replaced_by=by.get(row.number)
-                )
+                IssuedCertificate.model_validate(row).model_copy(update={"replaced_by": by.get(row.number)})
                 for row in session.exec(wanted)
             ]
-
-
-_COLUMNS = tuple(name for name in CertificateTable.model_fields if name not in ("pdf", "dcc"))
 
 
 def _row(session: Session, number: str) -> CertificateTable:

@@ -48,11 +48,6 @@ def to_json(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-def stored_text(document: dict[str, Any]) -> str:
-    """The text that a document becomes in the store."""
-    return to_json({**document, KEY: zlib.crc32(to_json(document).encode())})
-
-
 class CheckedJson(TypeDecorator[dict[str, Any]]):
     """A document as JSON, with the CRC-32 of its text as one more key. One without is from before."""
 

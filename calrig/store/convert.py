@@ -186,17 +186,14 @@ def joined_arrays(blobs: Iterable[bytes]) -> RawSamples:
 
 def unpacked_block(blob: bytes) -> RawSamples:
     """The samples of one block, with the board's angle wherever it was packed."""
-    arrays = _unpacked(blob)
-    return RawSamples(**{name: arrays[name] for name in _ARRAYS}, angle_deg=arrays.get(_ANGLE))
+    return RawSamples(**_unpacked(blob))
 
 
 def labelled_block(row: SampleBlockTable) -> SampleBlock:
     """The samples of one block with what they are of."""
     if row.phase not in ("move", "dwell"):
         raise Unreadable(f"raw samples are not what was stored: there is no phase {row.phase[:40]!r}")
-    arrays = _unpacked(row.data)
-    given = {name: arrays[name] for name in _ARRAYS}
-    return SampleBlock(row.pose_index, cast(Any, row.phase), **given, angle_deg=arrays.get(_ANGLE))
+    return SampleBlock(row.pose_index, cast(Any, row.phase), **_unpacked(row.data))
 
 
 def _unpacked(blob: bytes) -> dict[str, np.ndarray[Any, Any]]:

@@ -33,9 +33,7 @@ class Enrolment(Repository):
         """Every bench by name, those that were revoked as well."""
         with self._database.reading() as session:
             return [
-                Membership.model_validate(row).model_copy(
-                    update={"refused": refusal(row), **_clock(row), **_versions(row)}
-                )
+                Membership.model_validate(row).model_copy(update=_reported(row))
                 for row in session.exec(select(BenchTable).order_by(BenchTable.name))
             ]
 
@@ -146,8 +144,7 @@ class Enrolment(Repository):
 def _let_in(
     session: Session, row: BenchTable, host: str | None, port: int | None, *, is_elsewhere: bool
 ) -> str:
-    from calrig.store.postgresql.agent_url import agent_url, is_on_this_machine
-    from calrig.store.postgresql.set_up import let_in, role_name
+    from calrig.store.postgresql.set_up import agent_url, is_on_this_machine, let_in, role_name
 
     connection = session.connection()
     row.role = row.role or role_name(connection, row.name)
@@ -182,17 +179,12 @@ def _require_own_names(session: Session, name: str, rigs: Sequence[str]) -> None
             )
 
 
-def _clock(row: BenchTable) -> dict[str, float | str | None]:
-    """What a membership says of the bench's clock."""
+def _reported(row: BenchTable) -> dict[str, float | str | None]:
+    """What a membership says of a bench by its last report: its clock, its calrig, why it takes no orders."""
     skew_s = said_skew_s(row.said.get("clock_skew_s"))
-    return {"clock_skew_s": skew_s, "clock": skew_in_words(skew_s)}
-
-
-def _versions(row: BenchTable) -> dict[str, str | None]:
-    """What a membership says of the bench's calrig."""
-    said = row.said.get("version"), row.said.get("schema_revision")
-    version, revision = (one if isinstance(one, str) else None for one in said)
-    return {"version": version, "schema_revision": revision}
+    said = {name: row.said.get(name) for name in ("version", "schema_revision")}
+    versions = {name: one for name, one in said.items() if isinstance(one, str)}
+    return {"refused": refusal(row), "clock_skew_s": skew_s, "clock": skew_in_words(skew_s), **versions}
 
 
 def _require_centre(session: Session) -> None:

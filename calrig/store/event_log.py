@@ -68,16 +68,16 @@ class EventLog(Repository):
     def transcripts(self, run_id: str) -> dict[str, str]:
         """What went over each port in the last minute before the run failed; empty where it did not."""
         with self._database.reading() as session:
-            run = run_row(session, run_id)
-            wanted = (
-                select(TranscriptTable)
-                .where(TranscriptTable.run_id == run.id)
-                .order_by(col(TranscriptTable.id))
-            )
-            try:
-                return {row.port: zlib.decompress(row.data).decode() for row in session.exec(wanted)}
-            except (zlib.error, UnicodeDecodeError) as error:
-                raise Unreadable(f"a transcript cannot be unpacked any more: {error}") from error
+            return transcripts_of(session, run_row(session, run_id))
+
+
+def transcripts_of(session: Session, run: RunTable) -> dict[str, str]:
+    """As `EventLog.transcripts`, of a session."""
+    wanted = select(TranscriptTable).where(TranscriptTable.run_id == run.id).order_by(col(TranscriptTable.id))
+    try:
+        return {row.port: zlib.decompress(row.data).decode() for row in session.exec(wanted)}
+    except (zlib.error, UnicodeDecodeError) as error:
+        raise Unreadable(f"a transcript cannot be unpacked any more: {error}") from error
 
 
 def append(session: Session, run: RunTable, events: Sequence[Announced]) -> list[int]:

@@ -31,7 +31,6 @@ RUNS_AT_ONCE = 5_000
 POSES_AT_ONCE = 100_000
 ROWS_AT_ONCE = 10_000
 """Made into numbers together: as objects they take ten times the room."""
-Numbers = npt.NDArray[np.float64]
 
 _RUN, _POSE = sqlalchemy.inspect(RunTable).local_table.c, sqlalchemy.inspect(PoseTable).local_table.c
 _LISTED = (
@@ -46,9 +45,9 @@ _COUNTS = (_RUN.status == "completed", _RUN.kind != "static", _RUN.voided_reason
 _IS_EXCLUDED = sqlalchemy.case((_POSE.excluded_reason.is_(None), 0), else_=1)
 _ROW = (_POSE.run_id, _POSE.pose_index, *(_POSE[name] for name in POSE_NUMBERS), _POSE.crc32, _IS_EXCLUDED)
 _N_CHECKED = 2 + len(POSE_NUMBERS)
-"""Numbers that a pose's checksum is over, the first of `_ROW`."""
+"""FloatArray that a pose's checksum is over, the first of `_ROW`."""
 _COVARIATES = sqlalchemy.cast(_POSE.covariates, sqlalchemy.String)
-_NO_COVARIATES = ("{}", checksums.stored_text({}))
+_NO_COVARIATES = ("{}", checksums.to_json(checksums.sealed({})))
 _n_keys = sqlalchemy.func.length(_COVARIATES) - sqlalchemy.func.length(
     sqlalchemy.func.replace(_COVARIATES, ",", "")
 )
@@ -130,7 +129,7 @@ def _packed(session: Session, runs: Sequence[ListedRun], *, with_gyro: bool) -> 
     return PackedPoses(ids, first, {**columns, **covariates}, units, rigs)
 
 
-def _numbers(session: Session, between: sqlalchemy.ColumnElement[bool]) -> Numbers:
+def _numbers(session: Session, between: sqlalchemy.ColumnElement[bool]) -> FloatArray:
     """(N, len(_ROW)) of poses by run and index, NaN where there is no number."""
     wanted = sqlalchemy.select(*_ROW).where(between).order_by(_POSE.run_id, _POSE.pose_index)
     found = session.connection().execute(wanted, execution_options={"yield_per": ROWS_AT_ONCE})
@@ -141,7 +140,7 @@ def _numbers(session: Session, between: sqlalchemy.ColumnElement[bool]) -> Numbe
     return np.concatenate([np.empty((0, len(_ROW))), *parts])
 
 
-def _check(rows: Numbers, runs: Sequence[ListedRun], of_run: npt.NDArray[np.intp]) -> None:
+def _check(rows: FloatArray, runs: Sequence[ListedRun], of_run: npt.NDArray[np.intp]) -> None:
     """Raises Unreadable where poses are missing, or are not those stored; older ones have no checksum."""
     missing = np.array([run.n_poses for run in runs]) - np.bincount(of_run, minlength=len(runs))
     for k in np.flatnonzero(missing > 0)[:1]:
@@ -153,7 +152,7 @@ def _check(rows: Numbers, runs: Sequence[ListedRun], of_run: npt.NDArray[np.intp
 
 
 def _covariates(
-    session: Session, between: sqlalchemy.ColumnElement[bool], rows: Numbers, but: Sequence[str]
+    session: Session, between: sqlalchemy.ColumnElement[bool], rows: FloatArray, but: Sequence[str]
 ) -> dict[str, FloatArray]:
     """(N,) each further column of the poses in these rows, but for some."""
     wanted = (

@@ -26,10 +26,10 @@ class Limits(Repository):
         """Puts others in their place, and into the trail where they differ."""
         with self._database.writing() as session:
             before = limits_of(session)
-            if before == tuple(limits):
+            then, now = ([one.model_dump(mode="json") for one in some] for some in (before, limits))
+            if then == now:
                 return
             session.exec(delete(LimitTable))
-            then, now = ([one.model_dump(mode="json") for one in some] for some in (before, limits))
             session.add_all(
                 LimitTable(position=place, name=document["name"], document=document)
                 for place, document in enumerate(now)

@@ -24,7 +24,9 @@ from calrig.store.convert import FIGURES, POSE_NUMBERS, unpacked_block
 from calrig.store.database import BUSY_TIMEOUT_S, Database
 from calrig.store.engines import is_centre, open_database
 from calrig.store.errors import Refused, StoreDamagedError, Unreadable
-from calrig.store.raw_rows import Row, TableHash, count, pieces, row_name, tables
+from calrig.store.raw_rows import Row, TableHash, count, names, pieces, row_name, tables
+from calrig.store.sqlite.database import SqliteDatabase
+from calrig.store.sqlite.lock import living_writer
 from calrig.store.tables import UtcText
 from calrig.store.trail import FIRST, chained
 
@@ -231,9 +233,32 @@ def _end_of(url: str, database: Database) -> _End:
         from calrig.store.postgresql.moving import PostgresqlEnd
 
         return PostgresqlEnd(database)
-    from calrig.store.sqlite.moving import SqliteEnd
+    return _SqliteEnd(database)
 
-    return SqliteEnd(database)
+
+class _SqliteEnd:
+    """A file that a store is moved out of, or into."""
+
+    def __init__(self, database: Database) -> None:
+        assert isinstance(database, SqliteDatabase)  # noqa: S101 (as its URL says)
+        self._path = database.path
+
+    def other_writer(self, connection: Connection) -> str | None:  # noqa: ARG002
+        """Which program writes to it now, in words; None where none does."""
+        return living_writer(self._path)
+
+    def begin(self, connection: Connection, tables: Sequence[Table]) -> None:
+        """Makes ready for rows; nothing is to be done."""
+
+    def lay(self, connection: Connection, table: Table, rows: Sequence[Row]) -> None:
+        """Adds rows whose values are as `calrig.store.raw_rows.pieces` gives them."""
+        marks = ", ".join("?" * len(table.columns))
+        named = connection.dialect.identifier_preparer.format_table(table)
+        insert = f"INSERT INTO {named} ({names(connection, table)}) VALUES ({marks})"  # noqa: S608
+        connection.exec_driver_sql(insert, list(rows))
+
+    def end(self, connection: Connection, tables: Sequence[Table]) -> None:
+        """What is left to do once all rows are there: the next number follows the largest by itself."""
 
 
 def _look_for_runs(source: Database, end: _End, session: Session) -> tuple[str, ...]:

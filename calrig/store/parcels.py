@@ -7,12 +7,11 @@ centre is complete there. A parcel describes the run as of its last event.
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import accumulate
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 from sqlmodel import Session, col, func, or_, select
@@ -22,8 +21,9 @@ from calrig.model.run import TERMINAL, Status
 from calrig.store.bench_tables import DeliveryTable, TakenOrderTable
 from calrig.store.convert import iso_utc, pose_of, run_of, run_row
 from calrig.store.database import Repository
+from calrig.store.event_log import transcripts_of
 from calrig.store.records import Document
-from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
+from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable
 
 Text = Annotated[str, Field(max_length=10_000)]
 
@@ -115,20 +115,12 @@ class ParcelDocument(_Delivered):
     samples: DeliveredSamples | None = None
 
 
-def packed_row(index: int, pose: Pose, excluded: str | None) -> dict[str, Any]:
-    """A pose as an entry of a parcel's `poses`."""
-    return {"index": index, **pose.row(), "excluded": excluded}
-
-
 VERSION = 1
 EVENTS_A_PARCEL = 500
 BLOCKS_AT_ONCE = 32
 BYTES_AT_ONCE = 1_000_000
 """Of samples: what is sent, and kept in memory, together."""
-RUN_FIELDS = (
-    "id", "unit", "rig", "status", "plan", "progress", "result", "faults", "follows", "provenance",
-    "operator", "note", "created_at", "started_at", "finished_at", "error",
-)  # fmt: skip
+RUN_FIELDS = ("id", *(name for name in DeliveredRun.model_fields if name != "diagnosis"))
 """Of `records.Run`: what the bench alone knows. What was diagnosed, voided or limited is the centre's."""
 
 
@@ -176,7 +168,7 @@ def next_parcels(session: Session, run: RunTable, epoch: int, before: Delivered)
         parcels.append(wrap.parcel(said, after, block=block))
     if end is not None and are_all:
         after = replace(after, event_seq=end.seq, is_complete=True)
-        parcels.append(wrap.parcel(wrap.run_now(), after, [end], transcripts=wrap.transcripts()))
+        parcels.append(wrap.parcel(wrap.run_now(), after, [end], transcripts=transcripts_of(session, run)))
     return parcels
 
 
@@ -297,12 +289,7 @@ class _Wrapping:
             .order_by(col(PoseTable.pose_index))
         )
         found = (pose_of(row, self._run.uid, None) for row in self._session.exec(wanted))
-        return [packed_row(one.index, one.pose, one.excluded) for one in found]
-
-    def transcripts(self) -> dict[str, Any]:
-        """What went over each port before the run failed."""
-        wanted = select(TranscriptTable).where(TranscriptTable.run_id == self._run.id)
-        return {row.port: zlib.decompress(row.data).decode() for row in self._session.exec(wanted)}
+        return [{"index": one.index, **one.pose.row(), "excluded": one.excluded} for one in found]
 
 
 ROOM_BYTES = 1_000_000

@@ -31,7 +31,7 @@ from calrig.store.runs import POSES_AT_ONCE, change
 from calrig.store.tables import PoseTable, RunTable, SampleBlockTable
 
 
-def map_in_use(session: Session, run: RunTable) -> StageMap | None:
+def _map_in_use(session: Session, run: RunTable) -> StageMap | None:
     """The map of a run; None where it has none, or a pose that counts stands beyond it.
 
     Half a run by a map and half by a certificate would have a step in it that is neither's.
@@ -52,7 +52,17 @@ def map_in_use(session: Session, run: RunTable) -> StageMap | None:
     return kept if kept.covers(np.array(dial, dtype=np.float64)).all() else None
 
 
-def put_upon(poses: Sequence[StoredPose], stage_map: StageMap | None) -> list[StoredPose]:
+def poses_of(session: Session, run: RunTable, *, include_excluded: bool = True) -> list[StoredPose]:
+    """As `Poses.of`, of a session."""
+    _require_all(session, run)
+    wanted = _by_index(run).execution_options(yield_per=POSES_AT_ONCE)
+    filtering = _filtering_of(run)
+    found = (pose_of(pose, run.uid, filtering) for pose in session.exec(wanted))
+    wanted_ones = [pose for pose in found if include_excluded or pose.excluded is None]
+    return _put_upon(wanted_ones, _map_in_use(session, run))
+
+
+def _put_upon(poses: Sequence[StoredPose], stage_map: StageMap | None) -> list[StoredPose]:
     """The poses with what the map adds to the dial."""
     if stage_map is None or not poses:
         return list(poses)
@@ -97,13 +107,7 @@ class Poses(Repository):
     def of(self, run_id: str, *, include_excluded: bool = True) -> list[StoredPose]:
         """The poses of a run by index."""
         with self._database.reading() as session:
-            run = run_row(session, run_id)
-            _require_all(session, run)
-            wanted = _by_index(run).execution_options(yield_per=POSES_AT_ONCE)
-            filtering = _filtering_of(run)
-            found = (pose_of(pose, run.uid, filtering) for pose in session.exec(wanted))
-            wanted_ones = [pose for pose in found if include_excluded or pose.excluded is None]
-            return put_upon(wanted_ones, map_in_use(session, run))
+            return poses_of(session, run_row(session, run_id), include_excluded=include_excluded)
 
     def batches_of(self, run_id: str) -> Iterator[list[StoredPose]]:
         """The same, excluded ones among them, some at a time as they are asked for.
@@ -114,7 +118,7 @@ class Poses(Repository):
         with self._database.reading() as session:
             run = run_row(session, run_id)
             _require_all(session, run)
-            filtering, wanted, in_use = _filtering_of(run), _by_index(run), map_in_use(session, run)
+            filtering, wanted, in_use = _filtering_of(run), _by_index(run), _map_in_use(session, run)
         return self._batches(wanted, run_id, filtering, in_use)
 
     def _batches(
@@ -132,7 +136,7 @@ class Poses(Repository):
             if not batch:
                 return
             last = batch[-1].index
-            yield put_upon(batch, in_use)
+            yield _put_upon(batch, in_use)
 
     def count(self, run_id: str) -> int:
         """How many poses of a run count."""
@@ -208,13 +212,12 @@ class Samples(Repository):
 
     def _labelled(self, numbers: Sequence[int]) -> Iterator[SampleBlock]:
         for first in range(0, len(numbers), BLOCKS_AT_ONCE):
-            wanted = select(SampleBlockTable).where(
-                col(SampleBlockTable.id).in_(numbers[first : first + BLOCKS_AT_ONCE])
-            )
+            some = numbers[first : first + BLOCKS_AT_ONCE]
+            wanted = select(SampleBlockTable).where(col(SampleBlockTable.id).in_(some))
             with self._database.reading() as session:
                 rows = session.exec(wanted.order_by(col(SampleBlockTable.id))).all()
                 blocks = [labelled_block(row) for row in rows]
-            if len(blocks) < len(numbers[first : first + BLOCKS_AT_ONCE]):
+            if len(blocks) < len(some):
                 raise NotFound("raw samples were deleted while they were read")
             yield from blocks
 

@@ -38,11 +38,6 @@ def tables() -> list[Table]:
     return list(SQLModel.metadata.sorted_tables)
 
 
-def has_bytes(table: Table) -> bool:
-    """Whether rows of the table can be large."""
-    return any(isinstance(column.type, LargeBinary) for column in table.columns)
-
-
 def names(connection: Connection, table: Table) -> str:
     """The columns of a table in its order, as SQL has them."""
     quote = connection.dialect.identifier_preparer.quote
@@ -61,7 +56,8 @@ def pieces(connection: Connection, table: Table) -> Iterator[list[Row]]:
     Raises:
         Unreadable: a value is none of its column's kind: SQLite keeps anything in any column.
     """
-    at_once = WIDE_ROWS_AT_ONCE if has_bytes(table) else ROWS_AT_ONCE
+    are_wide = any(isinstance(column.type, LargeBinary) for column in table.columns)
+    at_once = WIDE_ROWS_AT_ONCE if are_wide else ROWS_AT_ONCE
     options = {**_STREAMED, "yield_per": at_once}
     with connection.exec_driver_sql(_select(connection, table), None, options) as result:
         for piece in result.partitions(at_once):

@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Literal, NamedTuple, TypedDict
+from typing import Any, Literal, NamedTuple, NotRequired, TypedDict
 
 import numpy as np
-import numpy.typing as npt
 
 import calrig.model.run
 from calrig.calibration.poses import Filtering, Pose
 from calrig.calibration.results import AppliedEffect, EffectDoubt, numbers_of, own_effect
 from calrig.calibration.separation import StageMap
 from calrig.calibration.uncertainty import make_verdict
+from calrig.estimation.angles import FloatArray
 from calrig.estimation.kalman import KalmanNoise
 from calrig.model.result import Reference, Result
 from calrig.model.run import Progress, Status
+from calrig.model.solution import Frame
 from calrig.model.verdict import Limit, Verdict
 
-FloatArray = npt.NDArray[np.float64]
 Document = dict[str, Any]
 """A JSON object."""
 
@@ -104,6 +104,20 @@ def _motion_of(provenance: Document, planned: Document) -> dict[str, float]:
     if not velocity_dps or not acceleration:
         return {}
     return {"velocity_dps": float(velocity_dps), "acceleration_dps2": float(acceleration / ratio)}
+
+
+class RunColumns(TypedDict):
+    """What a new run is told of itself; None and left out say that nobody knows, or that it is not so.
+
+    `follows` is the id of the run that it is a follow-up of.
+    """
+
+    unit: str
+    plan: Document | None
+    operator: NotRequired[str | None]
+    note: NotRequired[str | None]
+    follows: NotRequired[str | None]
+    provenance: Document
 
 
 class RunChanges(TypedDict, total=False):
@@ -282,3 +296,50 @@ class SampleBlock:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}, not {shape}")
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What a joint solution rests on.
+
+    Attributes:
+        runs: ids of the runs, all of one rig.
+        units: serials of their units.
+        linear: whether the units were stated to have no quadratic and cubic terms.
+        periods_deg: of gears that somebody knew.
+        seat_std_deg: how far one clamping was said to scatter from the next; None where nobody did.
+        frame: of units clamped by several faces, whose their matrix is.
+    """
+
+    runs: tuple[str, ...]
+    units: tuple[str, ...]
+    linear: bool = False
+    periods_deg: tuple[float, ...] = ()
+    seat_std_deg: float | None = None
+    frame: Frame = "sensor"
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A joint solution as it leaves the arithmetic, before it has an id.
+
+    Attributes:
+        rig: whose stage it is of; None where the runs name none.
+        basis: what it rests on.
+        document: CONTRACT section 8.
+        calibrations: CONTRACT section 6 by serial, with the uncertainty of this solution.
+        stage_map: what `stage-map.json` has.
+        poses: equally long columns for the picture (`calrig.figures.joint`).
+    """
+
+    rig: str | None
+    basis: Basis
+    document: Document
+    calibrations: dict[str, Document]
+    stage_map: Document
+    poses: Document
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the units were clamped by several faces."""
+        return any(mount["mount_axis"][-1] != "x" for mount in self.document["mounts"])

@@ -65,7 +65,6 @@ class CheckStandards(Repository):
                 named = CheckUnit(rig=rig, unit=unit, interval_days=interval_days, named_at=datetime.now(UTC))
                 row = session.merge(CheckUnitTable(**named.model_dump()))
             row.interval_days = interval_days
-            session.add(row)
             _tell(session, rig, unit, who, {"unit": unit, "interval_days": interval_days})
             return CheckUnit.model_validate(row)
 
@@ -209,8 +208,7 @@ def _checks(session: Session, rigs: Sequence[str]) -> list[tuple[CheckUnit, date
     return [(CheckUnit.model_validate(row), at) for row, at in session.exec(wanted)]
 
 
-@dataclass(frozen=True, slots=True)
-class MapInForce:
+class MapInForce(Model):
     """A rig's map: the `stage-map.json` of a stored solution, since when, and by whom."""
 
     rig: str
@@ -228,7 +226,7 @@ class StageMaps(Repository):
         """The one in force, or None."""
         with self._database.reading() as session:
             row = _in_force(session, rig)
-            return None if row is None else _map_of(row)
+            return None if row is None else MapInForce.model_validate(row)
 
     def all(self) -> list[MapInForce]:
         """Every rig's that has one, by name of the rig."""
@@ -238,7 +236,7 @@ class StageMaps(Repository):
             .order_by(col(StageMapTable.rig))
         )
         with self._database.reading() as session:
-            return [_map_of(row) for row in session.exec(wanted)]
+            return [MapInForce.model_validate(row) for row in session.exec(wanted)]
 
     def put_in_force(
         self, rig: str, solution_id: str, document: Document, *, who: str | None = None
@@ -252,7 +250,6 @@ class StageMaps(Repository):
             before = _in_force(session, rig)
             if before is not None:
                 before.withdrawn_at = now
-                session.add(before)
                 session.flush()
             row = StageMapTable(
                 rig=rig,
@@ -266,7 +263,7 @@ class StageMaps(Repository):
             session.flush()
             detail = {"solve": solution_id, "sha256": row.sha256, "before": before and before.sha256}
             append(session, Act("map_put_in_force", who=who, rig=rig, detail=detail), now)
-            return _map_of(row)
+            return MapInForce.model_validate(row)
 
     def withdraw(self, rig: str, reason: str, *, who: str | None = None) -> None:
         """Has a rig go without one.
@@ -279,7 +276,6 @@ class StageMaps(Repository):
             if row is None:
                 raise NotFound(f"rig {rig!r} has no stage's map in force")
             row.withdrawn_at = datetime.now(UTC)
-            session.add(row)
             detail = {"solve": row.solution_id, "sha256": row.sha256}
             append(session, Act("map_withdrawn", who=who, rig=rig, reason=reason, detail=detail))
 
@@ -287,7 +283,3 @@ class StageMaps(Repository):
 def _in_force(session: Session, rig: str) -> StageMapTable | None:
     wanted = select(StageMapTable).where(StageMapTable.rig == rig, col(StageMapTable.withdrawn_at).is_(None))
     return session.exec(wanted).first()
-
-
-def _map_of(row: StageMapTable) -> MapInForce:
-    return MapInForce(row.rig, row.solution_id, row.document, row.sha256, row.put_at, row.put_by)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Literal, Unpack, get_args
 
@@ -25,9 +25,9 @@ from calrig.store.convert import POSE_NUMBERS, figures_of, find_run, pose_values
 from calrig.store.database import Database, Repository
 from calrig.store.errors import Refused
 from calrig.store.event_log import Announced
-from calrig.store.records import Document, Run, RunChanges
+from calrig.store.records import Document, Run, RunChanges, RunColumns
 from calrig.store.tables import CalibrationTable, PoseTable, RunTable, UnitTable
-from calrig.store.trail import Act, What
+from calrig.store.trail import What
 
 AT_ONCE = 1000
 """Handed to SQLite together."""
@@ -167,20 +167,15 @@ class Runs(Repository):
     def create(
         self,
         *,
-        unit: str,
         rig: str | None,
-        plan: Document | None,
         status: Status,
-        provenance: Document,
-        operator: str | None = None,
-        note: str | None = None,
-        follows: str | None = None,
         poses_total: int = 0,
         poses: Sequence[Pose] = (),
         result: Document | None = None,
         draft: issued.Draft | None = None,
         who: str | None = None,
         run_id: str | None = None,
+        **columns: Unpack[RunColumns],
     ) -> Run:
         """Makes a run and, where it is the first of its unit, the unit; announces the run's state.
 
@@ -203,23 +198,19 @@ class Runs(Repository):
             row = new_row(
                 session,
                 now,
+                columns,
                 uid=run_id or new_run_id(),
-                unit=unit,
                 rig=rig,
                 status=status,
-                plan=plan,
-                progress=first_progress(len(poses), max(poses_total, len(poses)), status),
-                follows=follows,
-                provenance=provenance,
-                operator=operator,
-                note=note,
+                poses_total=max(poses_total, len(poses)),
+                poses_done=len(poses),
             )
             if staged is not None:
                 take_over(session, row.id)
             replace_result(session, row, result)
             event_log.append(session, row, [event_log.state(row)])
-            what: What = "imported" if plan is None else "started"
-            trail.append(session, Act(what, who=who, unit=unit, rig=rig, run_id=row.uid), now)
+            what: What = "imported" if row.plan is None else "started"
+            trail.append(session, trail.act_on(what, row, who), now)
             if draft is not None:
                 issued.issue(session, row, draft)
             return run_of(row)
@@ -270,12 +261,12 @@ class Runs(Repository):
         *,
         events: Sequence[Announced] = (),
         draft: issued.Draft | None = None,
-        asked: trail.Request | None = None,
+        asked: trail.Act | None = None,
         **changes: Unpack[RunChanges],
     ) -> Run:
         """Changes a run and announces `events`, then, where a status was given, the new state.
 
-        `asked` is what somebody asked for that this does; it is entered in the trail.
+        `asked` is what somebody asked for that this does; it is entered in the trail as of this run.
 
         `started_at` is set by the first `running`, `finished_at` by a terminal status; a run that is resumed
         after an interruption loses `finished_at`. `error` stays unless given: clear it when a run is resumed.
@@ -287,12 +278,8 @@ class Runs(Repository):
             if draft is not None:
                 issued.issue(session, row, draft)
             if asked is not None:
-                trail.append(session, trail.act_on(asked.what, row, asked.who))
+                trail.append(session, replace(asked, unit=row.unit, rig=row.rig, run_id=row.uid))
             return run_of(row)
-
-    def set_result(self, run_id: str, result: Result | None) -> Run:
-        """Replaces a run's result, and with it what comparisons show."""
-        return self.update(run_id, result=result)
 
     def unfinished(self, rig: str | None = None) -> list[Run]:
         """The runs (on this rig) that are queued, running or paused, the oldest first."""
@@ -380,36 +367,29 @@ def older_than(session: Session, cursor: str | None) -> list[ColumnElement[bool]
 def new_row(
     session: Session,
     now: datetime,
+    columns: RunColumns,
     *,
     uid: str,
-    unit: str,
     rig: str | None,
     status: Status,
-    plan: Document | None,
-    progress: Document,
-    follows: str | None,
-    provenance: Document,
-    operator: str | None,
-    note: str | None,
+    poses_total: int,
+    poses_done: int = 0,
 ) -> RunTable:
     """The row of a new run and, where it is the first of its unit, the unit's; nobody is told of it yet."""
-    if session.get(UnitTable, unit) is None:
-        session.add(UnitTable(serial=unit, created_at=now))
+    if session.get(UnitTable, columns["unit"]) is None:
+        session.add(UnitTable(serial=columns["unit"], created_at=now))
         session.flush()
+    follows = columns.get("follows")
+    told: Document = {**columns, "follows": None if follows is None else run_row(session, follows).id}
+    kind = (columns["plan"] or {}).get("kind", "calibration")
+    progress = {
+        "poses_done": poses_done,
+        "poses_total": poses_total,
+        "fraction": poses_done / poses_total if poses_total else 0.0,
+        "remaining_s": 0.0 if status in TERMINAL else None,
+    }
     row = RunTable(
-        uid=uid,
-        unit=unit,
-        rig=rig,
-        kind=(plan or {}).get("kind", "calibration"),
-        status=status,
-        plan=plan,
-        progress=progress,
-        faults={},
-        follows=None if follows is None else run_row(session, follows).id,
-        provenance=provenance,
-        operator=operator,
-        note=note,
-        created_at=now,
+        uid=uid, rig=rig, kind=kind, status=status, progress=progress, faults={}, created_at=now, **told
     )
     _stamp(row, now)
     session.add(row)
@@ -454,13 +434,3 @@ def _stamp(row: RunTable, now: datetime) -> None:
     if row.status in {"running", "completed"} and row.started_at is None:
         row.started_at = now
     row.finished_at = now if row.status in TERMINAL else None
-
-
-def first_progress(poses_done: int, poses_total: int, status: Status) -> Document:
-    """How far a run is that has just been made."""
-    return {
-        "poses_done": poses_done,
-        "poses_total": poses_total,
-        "fraction": poses_done / poses_total if poses_total else 0.0,
-        "remaining_s": 0.0 if status in TERMINAL else None,
-    }

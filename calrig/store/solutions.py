@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from calrig.model.solution import ListedSolution
 from calrig.store.database import Repository, row_of
-from calrig.store.solved import Basis, Solved
+from calrig.store.records import Basis, Solved
 from calrig.store.tables import SolutionTable
 
 _COLUMN = sqlalchemy.inspect(SolutionTable).local_table.c

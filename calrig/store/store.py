@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from typing import Self
+from typing import Self, TypeVar
 
 from calrig.store.amendments import AcceptedEffects, Amendments
 from calrig.store.batches import Batches
@@ -29,6 +29,8 @@ from calrig.store.unpacking import Parcels
 from calrig.store.users import Users
 from calrig.store.verdicts import Verdicts
 from calrig.store.webhook import Deliveries
+
+T = TypeVar("T")
 
 
 class Store:
@@ -127,3 +129,16 @@ class Store:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def with_store(url: str, work: Callable[[Store], T]) -> T:
+    """Return what the work gives for a store, opened for reading and closed again.
+
+    `url` is as `Store.open` takes it; `work` is of a module, or a `partial` of one, so that another process
+    can be given it.
+
+    Raises:
+        StoreError: as of `Store.open`.
+    """
+    with Store.open(url, writer=None) as store:
+        return work(store)

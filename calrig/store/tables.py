@@ -41,6 +41,11 @@ Crc32 = BigInteger().with_variant(Integer(), "sqlite")
 """Unsigned 32 bits, one more than PostgreSQL's integer holds."""
 
 
+def _where(condition: str) -> dict[str, Any]:
+    """Of an index over the rows that a condition holds of, on either engine."""
+    return {"sqlite_where": text(condition), "postgresql_where": text(condition)}
+
+
 class UnitTable(SQLModel, table=True):
     """A sensor by its serial number."""
 
@@ -65,19 +70,8 @@ class RunTable(SQLModel, table=True):
         Index("ix_run_rig_created_at_id", "rig", "created_at", "id"),
         Index("ix_run_status_created_at_id", "status", "created_at", "id"),
         Index("ix_run_kind_created_at_id", "kind", "created_at", "id"),
-        Index(
-            "ix_run_follows",
-            "follows",
-            sqlite_where=text("follows IS NOT NULL"),
-            postgresql_where=text("follows IS NOT NULL"),
-        ),
-        Index(
-            "ix_run_imported",
-            "created_at",
-            "id",
-            sqlite_where=text("plan IS NULL"),
-            postgresql_where=text("plan IS NULL"),
-        ),
+        Index("ix_run_follows", "follows", **_where("follows IS NOT NULL")),
+        Index("ix_run_imported", "created_at", "id", **_where("plan IS NULL")),
         # all that a text is looked for in; a note may be longer than PostgreSQL has in an index
         Index("ix_run_search", "created_at", "id", "unit", "rig", "status", "kind", "note").ddl_if(
             dialect="sqlite"
@@ -227,13 +221,7 @@ class IssuedCalibrationTable(SQLModel, table=True):
 
     __tablename__ = "issued_calibration"
     __table_args__ = (
-        Index(
-            "ix_issued_calibration_in_force",
-            "unit",
-            unique=True,
-            sqlite_where=text("status = 'in_force'"),
-            postgresql_where=text("status = 'in_force'"),
-        ),
+        Index("ix_issued_calibration_in_force", "unit", unique=True, **_where("status = 'in_force'")),
         Index("ix_issued_calibration_run_id", "run_id"),
     )
 
@@ -428,15 +416,7 @@ class StageMapTable(SQLModel, table=True):
     """
 
     __tablename__ = "stage_map"
-    __table_args__ = (
-        Index(
-            "ix_stage_map_in_force",
-            "rig",
-            unique=True,
-            sqlite_where=text("withdrawn_at IS NULL"),
-            postgresql_where=text("withdrawn_at IS NULL"),
-        ),
-    )
+    __table_args__ = (Index("ix_stage_map_in_force", "rig", unique=True, **_where("withdrawn_at IS NULL")),)
 
     id: int = Field(default=None, primary_key=True)
     rig: str

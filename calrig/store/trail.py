@@ -47,14 +47,6 @@ class Act:
     detail: Document = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What somebody asked of a run, which is entered together with the change of the run that it makes."""
-
-    what: What
-    who: str | None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry(Act):
     """An act in the trail: its number, when it was done, and the hash that chains it to the one before."""

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from pydantic import ValidationError
 from sqlalchemy.exc import InterfaceError, OperationalError
@@ -22,15 +22,14 @@ from calrig.model.run import TERMINAL, Status
 from calrig.run_ids import is_uuid
 from calrig.store import issued, trail
 from calrig.store.bench_tables import BenchTable, DeliveryTable, ParcelTable, RunOrderTable
-from calrig.store.convert import find_run, pose_of, pose_values, run_of, unpacked_block
+from calrig.store.convert import find_run, pose_values, run_of, unpacked_block
 from calrig.store.database import Repository
 from calrig.store.errors import Unreadable
 from calrig.store.parcels import DeliveredEvent, DeliveredPose, DeliveredSamples, ParcelDocument
-from calrig.store.poses import map_in_use, put_upon
-from calrig.store.records import Document, Run, StoredPose, filtering_of
-from calrig.store.runs import first_progress, new_row, replace_result
+from calrig.store.poses import poses_of
+from calrig.store.records import Document, Run, RunColumns, StoredPose
+from calrig.store.runs import new_row, replace_result
 from calrig.store.tables import EventTable, PoseTable, RunTable, SampleBlockTable, TranscriptTable
-from calrig.store.trail import Act
 
 AT_ONCE = 20
 """Parcels in one transaction: others wait for their turn to write meanwhile."""
@@ -142,19 +141,13 @@ def _begun_at_bench(session: Session, parcel: ParcelTable, delivered: ParcelDocu
     run = new_row(
         session,
         told.created_at,
+        cast(RunColumns, told.model_dump(include={*RunColumns.__annotations__})),
         uid=parcel.run_uid,
-        unit=told.unit,
         rig=told.rig,
         status="queued",
-        plan=told.plan,
-        progress=first_progress(0, told.progress.poses_total, "queued"),
-        follows=told.follows,
-        provenance=told.provenance,
-        operator=told.operator,
-        note=told.note,
+        poses_total=told.progress.poses_total,
     )
-    act = Act("started", who=told.operator, unit=told.unit, rig=told.rig, run_id=run.uid)
-    trail.append(session, act, now)
+    trail.append(session, trail.act_on("started", run, told.operator), now)
     session.add(
         RunOrderTable(
             run_uid=run.uid,
@@ -227,18 +220,11 @@ def _update(
     replace_result(session, run, told.result)
     session.flush()
     if run.kind != "static":
-        result, draft = conclude(run_of(run), _poses(session, run))
+        result, draft = conclude(run_of(run), poses_of(session, run))
         replace_result(session, run, result)
         session.flush()
         if draft is not None:
             issued.issue(session, run, draft)
-
-
-def _poses(session: Session, run: RunTable) -> list[StoredPose]:
-    wanted = select(PoseTable).where(PoseTable.run_id == run.id).order_by(col(PoseTable.pose_index))
-    filtering = filtering_of(run.provenance, run.plan)
-    poses = [pose_of(row, run.uid, filtering) for row in session.exec(wanted)]
-    return put_upon(poses, map_in_use(session, run))
 
 
 def _add_poses(session: Session, run: RunTable, poses: Sequence[DeliveredPose]) -> None:

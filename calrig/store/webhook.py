@@ -89,7 +89,6 @@ class Deliveries(Repository):
             row.tries = delivery.tries + 1
             row.error, row.due_at = error, again_at
             row.delivered_at = None if error else datetime.now(UTC)
-            session.add(row)
 
     def count_waiting(self) -> int:
         """How many there are to be made."""

@@ -17,12 +17,13 @@ import pytest
 from a_bench import ENDLESS, Cable, HandWritten, Rig, agent_at, rigs_of
 from support import QUICK, ended, imported, serving, wait_for
 
-from calrig.agent import clock
 from calrig.centre.service import CentreService
 from calrig.cli.followed_run import FollowedRun
 from calrig.client import Client
 from calrig.store import Store
 from calrig.store.postgresql.database import TURN
+
+CLOCK = "calrig.agent.agent.utc_now"
 
 
 @pytest.fixture
@@ -77,7 +78,7 @@ def test_a_bench_whose_clock_is_a_minute_off_takes_no_orders_and_says_why(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ahead_s = 75.0
-    monkeypatch.setattr(clock, "utc_now", lambda: datetime.now(UTC) + timedelta(seconds=ahead_s))
+    monkeypatch.setattr(CLOCK, lambda: datetime.now(UTC) + timedelta(seconds=ahead_s))
 
     def said() -> tuple[float | None, str | None]:
         (bench,) = page.get("/api/benches").raise_for_status().json()
@@ -112,7 +113,7 @@ def test_a_terminal_hears_why_a_run_waits_for_its_bench_and_then_for_go(
     page: httpx.Client, centre: HandWritten, rig: Rig, spool: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ahead_s = 75.0
-    monkeypatch.setattr(clock, "utc_now", lambda: datetime.now(UTC) + timedelta(seconds=ahead_s))
+    monkeypatch.setattr(CLOCK, lambda: datetime.now(UTC) + timedelta(seconds=ahead_s))
     there = Client(str(page.base_url))
     with agent_at(centre.bench_url, spool, rig, is_accepted=False):
         followed = FollowedRun(there, there.run(started(page)))

@@ -268,7 +268,7 @@ class TestTakenBack:
         ]
         first, second = diagnosed(store, new_run(), 3.0), diagnosed(store, new_run(poses=again), 6.0)
         acceptance.accept(first.id, [OFFSET])
-        before = store.runs.set_result(second.id, refitted(store, store.runs.get(second.id), again))
+        before = store.runs.update(second.id, result=refitted(store, store.runs.get(second.id), again))
         accepted = acceptance.accept(second.id, [OFFSET], who="ada")
         assert in_force(store) == {OFFSET: pytest.approx(Z_MG, abs=1.0)}, "as the poses of both have it"
         assert accepted.diagnosis is not None

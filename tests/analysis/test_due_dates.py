@@ -29,7 +29,7 @@ def test_without_limits_a_unit_is_due_after_the_interval(store: Store) -> None:
     found = due_dates(store, interval_days=30, now=at(129))
     assert (found.of("A").due_at, found.of("A").overdue, found.overdue) == (at(130), False, 0)
     assert due_dates(store, interval_days=30, now=at(131)).overdue == 1
-    assert "30 days after its last calibration" in found.of("A").says
+    assert "30 days after its last calibration" in found.of("A").due_says
 
 
 def test_a_unit_that_drifts_is_due_before_it_reaches_its_limit(store: Store) -> None:
@@ -37,7 +37,7 @@ def test_a_unit_that_drifts_is_due_before_it_reaches_its_limit(store: Store) -> 
     for day in (0, 50, 100, 150):
         ran(store, "DRIFTS", day, 0.5 + 0.001 * day)
     due = within(store, Limit(name="AS", bias_deg=(0.0, 0.8))).of("DRIFTS")
-    assert due.method == "drift"
+    assert due.due_method == "drift"
     assert at(270) < due.due_at < at(300)
     assert due.overdue
     assert within(store, Limit(name="AS", bias_deg=(0.0, 9.0))).of("DRIFTS").due_at > due.due_at
@@ -46,15 +46,15 @@ def test_a_unit_that_drifts_is_due_before_it_reaches_its_limit(store: Store) -> 
 def test_an_error_allowed_counts_from_the_calibration_in_force(store: Store, monkeypatch) -> None:
     steady(store)
     runs = [ran(store, "DRIFTS", day, 0.5, 1.0 + 1e-4 * day) for day in (0, 50, 100)]
-    document = {"run_id": runs[-1].id, "range_deg": [-60.0, 60.0]}
 
     class InForce:
         unit = "DRIFTS"
+        run_id = runs[-1].id
 
-    InForce.document = document
+    InForce.document = {"range_deg": [-60.0, 60.0]}
     monkeypatch.setattr(store.revisions, "all_in_force", lambda _serials: [InForce])
     due = within(store, Limit(name="AS", max_error_deg=0.6)).of("DRIFTS")
-    assert due.method == "drift"
+    assert due.due_method == "drift"
     assert at(100) + timedelta(days=80) < due.due_at < at(200), "60°·10⁻⁴ a day is 0.6° after 100 days"
 
 
@@ -63,8 +63,8 @@ def test_what_no_history_tells_is_due_after_the_interval_and_says_so(store: Stor
     for day in (0, 0.1, 0.2):
         ran(store, "YOUNG", day, 0.5, std=0.05)
     due = within(store, Limit(name="AS", bias_deg=(0.3, 0.7))).of("YOUNG")
-    assert (due.method, due.due_at) == ("interval", at(0.2) + timedelta(days=YEAR))
-    assert "does not tell yet" in due.says
+    assert (due.due_method, due.due_at) == ("interval", at(0.2) + timedelta(days=YEAR))
+    assert "does not tell yet" in due.due_says
 
 
 def test_a_change_begins_a_history_anew(store: Store) -> None:
@@ -72,7 +72,7 @@ def test_a_change_begins_a_history_anew(store: Store) -> None:
     for day, bias in ((0, 0.5), (50, 0.5), (100, 0.9), (150, 0.9)):
         ran(store, "HIT", day, bias)
     due = within(store, Limit(name="AS", bias_deg=(0.0, 1.0))).of("HIT")
-    assert (due.method, due.due_at) == ("interval", at(150) + timedelta(days=YEAR))
+    assert (due.due_method, due.due_at) == ("interval", at(150) + timedelta(days=YEAR))
 
 
 def test_a_unit_that_was_never_calibrated_is_never_due(store: Store) -> None:

@@ -25,7 +25,7 @@ def test_where_runs_are_few_a_unit_is_told_as_beside_all_others(store):
     _filled(store)
     whole, one = histories(store), histories(store, ["AS-3"])
     assert one.rows == whole.rows
-    assert one.pooled == whole.pooled
+    assert one.changes.pooled == whole.changes.pooled
 
 
 def test_of_very_many_the_unit_is_whole_and_the_latest_stand_for_all(store, monkeypatch: pytest.MonkeyPatch):

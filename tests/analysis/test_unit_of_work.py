@@ -213,7 +213,7 @@ class TestMending:
         poses = [measured(np.random.default_rng(k), ends) for k, ends in ((3, FIRST_C), (4, SECOND_C))]
         first, second = (diagnosed_run(store, one, WARMTH) for one in poses)
         self.accept_half(store, first)  # whole, but for the draft: a joint solution was in force
-        store.runs.set_result(first.id, refitted(store, first, poses[0]))
+        store.runs.update(first.id, result=refitted(store, first, poses[0]))
         Acceptance(store).accept(second.id, [WARMTH])  # the joint model of both
         kept = store.runs.get(first.id)
         says = mend(store, Issuer(store))

@@ -15,7 +15,6 @@ from calrig.runs.service import RunService
 from calrig.store import Event, RawSamples, Run, Store, StoredPose
 from calrig.store.bench_tables import BenchCommandTable, BenchTable, ParcelTable, RunOrderTable
 from calrig.store.benches import versions_here
-from calrig.store.parcels import packed_row
 from calrig.store.tables import SampleBlockTable
 
 Packed = tuple[dict[str, Any], bytes | None]
@@ -203,7 +202,10 @@ def _packed(store: Store, run_id: str, events_each: int, epoch: int) -> Iterator
         "result": None if run.result is None else run.result.to_dict(),
     }
     told |= {name: None if (at := getattr(run, name)) is None else at.isoformat() for name in TIMES}
-    poses = {one.index: packed_row(one.index, one.pose, one.excluded) for one in store.poses.of(run_id)}
+    poses = {
+        one.index: {"index": one.index, **one.pose.row(), "excluded": one.excluded}
+        for one in store.poses.of(run_id)
+    }
     now = datetime.now(UTC).isoformat()
     *events, end = [
         {"seq": one.seq, "type": one.type, "data": one.data, "at": now} for one in store.events.after(run_id)

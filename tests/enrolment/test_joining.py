@@ -28,7 +28,7 @@ from calrig.store.bench_tables import PROTOCOL
 from calrig.store.benches import versions_here
 from calrig.store.enrolment import WrongCode
 from calrig.store.errors import NotFound, Refused
-from calrig.store.postgresql.agent_url import agent_url, is_on_this_machine
+from calrig.store.postgresql.set_up import agent_url, is_on_this_machine
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 TOKEN = "the-benches-of-building-4"

@@ -21,7 +21,7 @@ from calrig.calibration.poses import Pose
 from calrig.store import AcceptedEffect, SampleBlock, Store
 from calrig.store.certificates import IssuedCertificate
 from calrig.store.raw_rows import tables
-from calrig.store.solved import Basis, Solved
+from calrig.store.records import Basis, Solved
 from calrig.store.units import CalibrationItem
 
 POSES = "target_deg,reading_deg,+5V\n-30,-29.5,5.01\n0,-0.4,4.99\n30,30.6,5.00\n60,60.9,5.02\n"

@@ -253,11 +253,11 @@ def test_a_comparison_holds_the_figures_of_completed_runs_by_unit_and_time(store
 def test_a_new_result_replaces_the_figures_and_none_removes_them(store, new_run, result):
     run = new_run()
     store.runs.update(run.id, status="completed", result=result)
-    store.runs.set_result(run.id, {**result, "bias_deg": 0.5})
+    store.runs.update(run.id, result={**result, "bias_deg": 0.5})
     assert [r.result["bias_deg"] for r in store.units.comparison()] == [0.5]
     assert store.runs.get(run.id).result.bias_deg == 0.5
 
-    store.runs.set_result(run.id, None)
+    store.runs.update(run.id, result=None)
     assert store.units.comparison() == []
     assert store.runs.get(run.id).result is None
 

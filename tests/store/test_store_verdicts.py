@@ -62,7 +62,7 @@ def something_changes(store, run_id, chance):
     return chance.choice(
         [
             lambda: store.limits.replace(chance.sample(LIMITS, chance.randint(0, 4)), who=None),
-            lambda: store.runs.set_result(run_id, chance.choice(RESULTS)),
+            lambda: store.runs.update(run_id, result=chance.choice(RESULTS)),
             lambda: store.runs.update(run_id, faults={"move_mismatch": chance.randint(0, 1)}),
             lambda: store.runs.update(run_id, diagnosis=DIAGNOSIS),
             lambda: store.effects.accept(run_id, [accepted]),
@@ -108,9 +108,9 @@ def test_whatever_a_verdict_follows_from_is_followed(store, new_run):
         (lambda: store.effects.accept(run_id, [accepted]), {"pass", "more_than_noise"}),
         (lambda: store.runs.update(run_id, plan={"kind": "verification"}), {"pass", "noise"}),
         (lambda: store.limits.replace([LIMITS[0]], who=None), {"pass", "noise"}),
-        (lambda: store.runs.set_result(run_id, result(0.5)), {"conditional_fail", "more_than_noise"}),
+        (lambda: store.runs.update(run_id, result=result(0.5)), {"conditional_fail", "more_than_noise"}),
         (lambda: store.amendments.move({run_id: near}, "B", "a wrong label"), {"no_limits", "noise"}),
-        (lambda: store.runs.set_result(run_id, None), set()),
+        (lambda: store.runs.update(run_id, result=None), set()),
     ):
         change()
         assert said(store.runs.get(run_id)) == judged

@@ -228,7 +228,7 @@ def solution_differences(
 
     Args:
         document: CONTRACT section 6.
-        basis: rig, runs and assumptions of the solution (`calrig.store.solved.Basis`).
+        basis: rig, runs and assumptions of the solution (`calrig.store.records.Basis`).
         stale: what has changed since of the runs.
         run_of: gives a run with its poses and their indices.
 

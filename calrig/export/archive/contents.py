@@ -25,8 +25,7 @@ from calrig.model.run import AT_REST
 from calrig.store import Run, Store
 from calrig.store.convert import iso_utc
 from calrig.store.issued import Revision
-from calrig.store.records import Document
-from calrig.store.solved import Solved
+from calrig.store.records import Document, Solved
 from calrig.store.trail import entry_document
 
 _REGULAR_FILE = 0o100644 << 16

@@ -69,8 +69,13 @@ def connect(url: str, silent_s: float, **options: Any) -> Connection:
     return connection
 
 
+def driver_of(connection: sqlalchemy.Connection) -> Connection:
+    """The connection beneath one of the store's engine."""
+    driver = connection.connection.driver_connection
+    assert isinstance(driver, Connection)  # noqa: S101 (as the engine makes it)
+    return driver
+
+
 def wait_long(connection: sqlalchemy.Connection) -> None:
     """Wait for statements that rewrite tables, until the pool has the connection again."""
-    driver = connection.connection.driver_connection
-    assert isinstance(driver, Connection)  # noqa: S101 (as the store's engine makes it)
-    driver.silent_s = REWRITES_S
+    driver_of(connection).silent_s = REWRITES_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn
 
 import psycopg
 from sqlalchemy import BigInteger, Connection, Integer, Table, text
@@ -12,7 +12,7 @@ from sqlalchemy import BigInteger, Connection, Integer, Table, text
 from calrig.store.checksums import CheckedJson
 from calrig.store.database import Database
 from calrig.store.errors import Refused
-from calrig.store.postgresql.connection import wait_long
+from calrig.store.postgresql.connection import driver_of, wait_long
 from calrig.store.postgresql.errors import store_error
 from calrig.store.raw_rows import TEXTS, Row, names, row_name
 
@@ -51,11 +51,10 @@ class PostgresqlEnd:
             Refused: names a row that PostgreSQL cannot keep, and why.
         """
         self._refuse_what_is_not_kept(table, rows)
-        raw = cast("psycopg.Connection[Any]", connection.connection.driver_connection)
         named = connection.dialect.identifier_preparer.format_table(table)
         command = f"COPY {named} ({names(connection, table)}) FROM STDIN"
         try:
-            with raw.cursor() as cursor, cursor.copy(command.encode()) as copy:
+            with driver_of(connection).cursor() as cursor, cursor.copy(command.encode()) as copy:
                 for row in rows:
                     copy.write_row(row)
         except psycopg.Error as error:

@@ -10,14 +10,15 @@ from __future__ import annotations
 import hashlib
 import secrets
 from dataclasses import dataclass
+from ipaddress import ip_address
 
-import psycopg
 from psycopg import sql
-from sqlalchemy import Connection, text
+from sqlalchemy import URL, Connection, text
 
 from calrig.store.bench_tables import PROTOCOL
 from calrig.store.database import revisions
 from calrig.store.errors import Refused
+from calrig.store.postgresql.connection import driver_of
 
 EVENTS, PARCELS = "calrig_event", "calrig_parcel"
 COMMANDS, ANSWERS, BENCHES = "calrig_command", "calrig_answer", "calrig_bench"
@@ -102,8 +103,7 @@ def keep_benches_out(connection: Connection) -> None:
 
 def set_up(connection: Connection) -> None:
     """Gives it to a database, inside the transaction that the connection is in; what is there stays."""
-    raw = connection.connection.driver_connection
-    assert raw is not None  # noqa: S101 (it is in a transaction)
+    raw = driver_of(connection)
     raw.execute(_NO_QUEUES)
     raw.execute(_TRIGGERS)
 
@@ -246,7 +246,9 @@ def let_in(connection: Connection, role: str) -> str:
         The password.
     """
     password, name = secrets.token_urlsafe(32), sql.Identifier(role)
-    verifier = _driver(connection).pgconn.encrypt_password(password.encode(), role.encode(), b"scram-sha-256")
+    verifier = driver_of(connection).pgconn.encrypt_password(
+        password.encode(), role.encode(), b"scram-sha-256"
+    )
     _run(
         connection,
         sql.SQL("{} ROLE {} LOGIN CONNECTION LIMIT {} PASSWORD {}").format(
@@ -344,12 +346,40 @@ def _database(connection: Connection) -> str:
     return str(connection.scalar(text("SELECT current_database()")))
 
 
-def _driver(connection: Connection) -> psycopg.Connection:
-    driver = connection.connection.dbapi_connection
-    assert isinstance(driver, psycopg.Connection)  # noqa: S101 (as the store's engine names it)
-    return driver
-
-
 def _run(connection: Connection, statement: sql.Composable) -> None:
     """Runs a statement that takes no parameters, its names quoted."""
     connection.exec_driver_sql(statement.as_string(None))
+
+
+def agent_url(centre: URL, role: str, password: str, host: str | None, port: int | None) -> URL:
+    """The centre's own URL with the bench's name and password, as agents reach it.
+
+    Across a network the server has to prove by its certificate who it is (`verify-full`).
+
+    Args:
+        centre: by which the centre reaches the database.
+        role: of the bench.
+        password: of the role.
+        host: by which agents reach the server; None where the centre's does.
+        port: likewise.
+    """
+    place = centre if host is None else centre.set(host=host, query={})
+    place = place.set(port=place.port if port is None else port)
+    # of the rest of the query nothing: certificates and options are those of the centre's own connections
+    query = {key: value for key, value in place.query.items() if key in {"host", "port"}}
+    if not is_on_this_machine(place):
+        query["sslmode"] = "verify-full"
+    return place.set(drivername="postgresql+psycopg", username=role, password=password, query=query)
+
+
+def is_on_this_machine(url: URL) -> bool:
+    """Whether the database is reached by a socket or by loopback, as from no other machine."""
+    host = url.host or url.query.get("host") or ""
+    if not isinstance(host, str):
+        return False  # several servers
+    if not host or host.startswith(("/", "@")) or host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

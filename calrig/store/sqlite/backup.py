@@ -9,9 +9,7 @@ from pathlib import Path
 from calrig.store.database import BUSY_TIMEOUT_S, revisions
 from calrig.store.errors import StoreError
 from calrig.store.sqlite import copying, file
-from calrig.store.sqlite.copying import copy_database
 from calrig.store.sqlite.database import database_path
-from calrig.store.sqlite.file import connect
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +44,8 @@ def back_up(url: str, target: Path) -> BackedUp:
     stored = copying.stored_revision(database, file.reading_uri(database, BUSY_TIMEOUT_S))
     if stored is None:
         raise StoreError(f"{database}: is empty: there is nothing to keep a copy of")
-    copy_database(database, target)
-    with contextlib.closing(connect(target.resolve().as_uri() + file.AS_IT_LIES)) as copy:
+    copying.copy_database(database, target)
+    with contextlib.closing(file.connect(target.resolve().as_uri() + file.AS_IT_LIES)) as copy:
         (runs,) = copy.execute("SELECT count(*) FROM run").fetchone()
         (poses,) = copy.execute("SELECT count(*) FROM pose").fetchone()
         has_trail = copy.execute("SELECT 1 FROM sqlite_master WHERE name = 'trail'").fetchone()

@@ -30,7 +30,6 @@ from calrig.store.errors import (
 from calrig.store.records import Size
 from calrig.store.sqlite import copying
 from calrig.store.sqlite import file as file_system
-from calrig.store.sqlite.copying import check_sound
 from calrig.store.sqlite.errors import damaged, store_error
 from calrig.store.sqlite.file import connect, is_a_table
 from calrig.store.sqlite.lock import WriterLock
@@ -139,7 +138,7 @@ class SqliteDatabase(Database):
             # It died, perhaps with the power: a good moment for damage, which is looked for first.
             uri = file_system.reading_uri(self.path, self._timeout_s)
             with closing(connect(uri, self._timeout_s)) as connection:
-                check_sound(connection, self.path)
+                copying.check_sound(connection, self.path)
         if not self.path.exists():
             copying.make_new(self.path)
         elif file_system.size_bytes(self.path) == 0:

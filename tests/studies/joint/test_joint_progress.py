@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calrig.analysis.solutions import SolutionInputs, answer
-from calrig.store.solved import Basis
+from calrig.store.records import Basis
 
 from .cases import BOUNDS
 from .cube import drawn_cube_bench
