@@ -103,6 +103,8 @@ class Firmware:
     Attributes:
         at_s: the time that it lives in.
         state: as a report names it.
+        flags: what was asked for at once, acted on at the next look at them.
+        alarm: reported then; None where there is none.
         is_aborted: a reset was taken; the main loop ends and begins again.
         closed: axes whose switch is held closed.
     """
@@ -128,14 +130,15 @@ class Firmware:
         self.at_s = at_s
         self._boots_until_s = at_s + boot_s
         self._last_heard: int | None = None
-        self.motion = Motion(self.eeprom, self._drive, self.index)
+        self.motion = Motion(self.eeprom, self.motor.drive, self.index)
         self.parser = ParserState(self.eeprom.n_axes)
         self.state = State.ALARM if self.eeprom.flag(HOMING) else State.IDLE
         self.is_aborted = False
-        self._flags: set[str] = set()
-        self._alarm: int | None = None
+        self.flags: set[str] = set()
+        self.alarm: int | None = None
         self._frozen_s = -math.inf
         self._clear_suspend()
+        self.accessories = 5, 9
         self.counters = Counters()
         self.shares = [100, 100, 100]
         self._commands = Commands(self)
@@ -167,9 +170,9 @@ class Firmware:
         self.closed = {self.index} if closed else set()
         if was == closed or not self.eeprom.flag(HARD_LIMITS) or self.at_s < self._boots_until_s:
             return
-        if self.state not in (State.ALARM, State.HOME) and self._alarm is None:
+        if self.state not in (State.ALARM, State.HOME) and self.alarm is None:
             self.reset_now()
-            self._alarm = HARD_LIMIT
+            self.alarm = HARD_LIMIT
             self._wake_s = self.at_s
 
     # What it says
@@ -192,7 +195,7 @@ class Firmware:
             if self._hold_done and self.state in (State.DOOR, State.SLEEP):
                 if not self._retracted:
                     self._retracted, self._closes_s = True, self.at_s + CLOSING_S
-                    self._set_accessories(5, 9)
+                    self.accessories = 5, 9
                     self.counters.overrides = 0
                     if self.state == State.SLEEP:
                         self.remark("Sleeping")
@@ -230,7 +233,7 @@ class Firmware:
 
     def until_reset_or(self, until_s: float) -> Run:
         """Wait for an instant, or for a reset or a door, deaf to all else (homing)."""
-        while self.at_s < until_s and not self._flags & {"reset", "door"}:
+        while self.at_s < until_s and not self.flags & {"reset", "door"}:
             yield until_s
 
     def idle_delay_s(self) -> float:
@@ -247,42 +250,22 @@ class Firmware:
     def cycle_start(self) -> None:
         """Have the lines that wait begun at the next look at the flags."""
         if not self.motion.is_empty:
-            self._flags.add("resume")
-
-    def hold(self) -> None:
-        """As `!` does (M0)."""
-        self._flags.add("hold")
-
-    def raise_alarm(self, alarm: int) -> None:
-        """Have an alarm reported at the next check of the flags."""
-        self._alarm = alarm
+            self.flags.add("resume")
 
     def reset_now(self) -> None:
         """Take a reset: motors that move are stopped dead, which is an alarm of its own."""
-        if "reset" in self._flags:
+        if "reset" in self.flags:
             return
-        self._flags.add("reset")
-        self._set_accessories(5, 9)
+        self.flags.add("reset")
+        self.accessories = 5, 9
         if self.state in (State.RUN, State.JOG, State.HOME) or self._braking:
             if self.state == State.HOME:
-                self._alarm = self._alarm or RESET_IN_HOMING
+                self.alarm = self.alarm or RESET_IN_HOMING
             else:
-                self._alarm = RESET_IN_MOTION
+                self.alarm = RESET_IN_MOTION
                 self._frozen_s = max(self._frozen_s, self.at_s + self.idle_delay_s())
                 self.motion.stop(self.begin_s())
             self.motor.stop_motor(self.begin_s())
-
-    def took_door(self) -> bool:
-        """Whether a door was opened (in homing)."""
-        return "door" in self._flags
-
-    def is_reset(self) -> bool:
-        """Whether a reset waits to be taken."""
-        return "reset" in self._flags
-
-    def sleep(self) -> None:
-        """Go to sleep at the next look at the flags."""
-        self._flags.add("sleep")
 
     def moves(self) -> bool:
         """Whether a motion is under way that a new line joins."""
@@ -292,12 +275,9 @@ class Firmware:
         """Come to rest on the way, permanently (soft limits)."""
         self.motion.brake(self.begin_s())
         self.state, self._braking = State.HOLD, True
-        while self.at_s < self._stops_s() and "reset" not in self._flags:
+        while self.at_s < self._stops_s() and "reset" not in self.flags:
             yield self._stops_s()
         self._braking, self.state = False, State.IDLE
-
-    def _drive(self, way: list[Segment]) -> None:
-        self.motor.drive(way)
 
     def _interrupt(self, byte: int) -> None:
         """Take a byte that has come: some act at once, others wait to be read, the rest is dropped."""
@@ -305,7 +285,7 @@ class Firmware:
             self.reset_now()
         elif byte in FLAGS and (byte < MOST_WAITING or not self.is_old):
             if byte != JOG_CANCEL or self.state == State.JOG:
-                self._flags.add(FLAGS[byte])
+                self.flags.add(FLAGS[byte])
         elif byte < MOST_WAITING or self.is_old:
             self.uart.keep(byte)
         else:
@@ -328,20 +308,11 @@ class Firmware:
         if self.state in (State.RUN, State.JOG) and not self._braking:
             self.motion.begin(self.begin_s())
 
-    def _set_accessories(self, spindle: int, coolant: int) -> None:
-        self.accessories = (spindle, coolant)
-
     def _clear_suspend(self) -> None:
         self._suspended = self._hold_done = self._braking = False
         self._cancelling = self._ajar = False
         self._retracted = False
         self._closes_s = math.inf
-        self._set_accessories(5, 9)
-
-    def _end_suspend(self) -> None:
-        accessories = self.accessories
-        self._clear_suspend()
-        self.accessories = accessories
 
     def _next_s(self) -> float:
         """When the motion that is under way ends, or a door is found closed."""
@@ -357,18 +328,18 @@ class Firmware:
 
     def _look(self) -> Run:
         """Act on alarm and flags, in the firmware's order."""
-        if self._alarm is not None:
+        if self.alarm is not None:
             yield from self._tell_alarm()
-        if "reset" in self._flags:
+        if "reset" in self.flags:
             self.is_aborted = True
             return
         moves = self.state in (State.RUN, State.JOG) or self._braking
         stopped = moves and self.at_s >= self._stops_s()
-        flags, self._flags = self._flags, set()
+        flags, self.flags = self.flags, set()
         if "report" in flags:
             self._report()
             yield from self.delay(REPORT_S)
-            self._flags.discard("report")
+            self.flags.discard("report")
         if flags & {"hold", "door", "sleep", "cancel"}:
             self._begin_hold(flags)
         if "resume" in flags and not flags & {"hold", "door", "cancel"}:
@@ -377,16 +348,16 @@ class Firmware:
             self._stopped()
 
     def _tell_alarm(self) -> Run:
-        alarm = self._alarm or 0
+        alarm = self.alarm or 0
         self.state = State.ALARM
         self.say(self.words.alarm(alarm))
         yield from self.delay(ALARM_S)
         if alarm in (HARD_LIMIT, SOFT_LIMIT):
             self.remark("Reset to continue")
-            self._flags.discard("reset")
-            while "reset" not in self._flags:
+            self.flags.discard("reset")
+            while "reset" not in self.flags:
                 yield math.inf
-        self._alarm = None
+        self.alarm = None
 
     def _begin_hold(self, flags: set[str]) -> None:
         if self.state in (State.ALARM, State.CHECK):
@@ -416,7 +387,7 @@ class Firmware:
         if self.state == State.DOOR and self._retracted and not self._ajar:
             self.state = State.IDLE
         if self.state == State.IDLE or (self.state == State.HOLD and self._hold_done):
-            self._end_suspend()
+            self._clear_suspend()
             if self.motion.is_empty:
                 self.state = State.IDLE
             else:
@@ -435,7 +406,7 @@ class Firmware:
             self.parser.position = self.motion.place(self.at_s)
         self.motion.finish()
         ajar = self._ajar
-        self._end_suspend()
+        self._clear_suspend()
         self.state = State.IDLE
         if ajar:
             self.state, self._ajar, self._suspended, self._hold_done = State.DOOR, True, True, True
@@ -487,8 +458,9 @@ class Firmware:
 
     def _begin_anew(self) -> None:
         """What a reset leaves: the count, and what the EEPROM keeps."""
-        self.is_aborted, self._flags, self._alarm = False, set(), None
+        self.is_aborted, self.flags, self.alarm = False, set(), None
         self._clear_suspend()
+        self.accessories = 5, 9
         self.counters = Counters()
         self.shares = [100, 100, 100]
         self.uart.waiting.clear()

@@ -66,9 +66,3 @@ class Uart:
     def is_sending(self) -> bool:
         """Whether something is still to go out."""
         return bool(self._going)
-
-    def cut(self) -> None:
-        """The chip is reset: nothing is on its way any more."""
-        self.waiting.clear()
-        self._coming.clear()
-        self._going.clear()
