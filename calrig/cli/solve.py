@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.calibration.separation import MountedPoses
     from calrig.client import Client
-    from calrig.model.solution import Frame, SolutionDocument, SolvedUnit, SolvedValue
+    from calrig.model.solution import Frame, SolutionDocument, SolvedUnit
     from calrig.store.solved import Solved
 
 
@@ -136,8 +136,7 @@ def solve(
     if as_json:
         output.print_json(document)
     else:
-        print_ = _print_whole if found.is_whole else _print_solution
-        print_(SolutionDocument.model_validate(document))
+        _print_solution(SolutionDocument.model_validate(document), is_whole=found.is_whole)
 
 
 def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
@@ -213,32 +212,40 @@ def _write(folder: Path, found: Solved) -> None:
         raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error
 
 
-def _print_solution(found: SolutionDocument) -> None:
-    """Print a joint solution: elevation uncertainty, units, mounts, stage map, errors before and after."""
-    _print_verdict(found)
-    for unit in found.units:
-        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
-        of_what = _measurand(unit)
-        print_line(f"\nunit {unit.unit}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°{of_what}")
-        for name, parameter in unit.parameters.items():
-            print_parameter(name, parameter)
-    print_line("")
-    mounts = (
-        (one.mount, one.unit, f"{one.mount_deg:g}°", *_with_std(one.angle_deg, "°")) for one in found.mounts
-    )
-    print_table(("mount", "unit", "stated", "found", "±"), mounts)
-    _print_stage(found)
-    if found.advice is not None:
-        print_line(f"recommended: {found.advice.says}")
+def _print_solution(found: SolutionDocument, *, is_whole: bool) -> None:
+    """Print a joint solution: units, mounts, stage map, errors before and after, warnings.
 
-
-def _print_verdict(found: SolutionDocument) -> None:
+    `is_whole` is of units clamped by several faces, whose accelerometers and gyros are printed.
+    """
     verdict = f"stage and units are {'' if found.separable else 'not '}separable"
     print_line(f"{verdict}; a pose's noise is {number(found.noise['std_deg'], '°')}", style="bold")
-
-
-def _print_stage(found: SolutionDocument) -> None:
-    """Print the stage map, the errors before and after, and warnings."""
+    for unit in found.units:
+        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
+        elevation = f"elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°"
+        print_line("")
+        if is_whole:
+            _print_accelerometer(unit)
+            if unit.gyro is not None:
+                _print_gyro(unit.gyro)
+            print_line(f"{elevation}, less its mean")
+        else:
+            print_line(f"unit {unit.unit}: {elevation}{_measurand(unit)}")
+            for name, parameter in unit.parameters.items():
+                print_parameter(name, parameter)
+    print_line("")
+    headings = ("mount", "unit", *(["axis"] if is_whole else []), "stated", "found", "±")
+    mounts = (
+        (
+            one.mount,
+            one.unit,
+            *([one["mount_axis"]] if is_whole else []),
+            f"{one.mount_deg:g}°",
+            number(one.angle_deg.value, "°"),
+            number(one.angle_deg.std, "°"),
+        )
+        for one in found.mounts
+    )
+    print_table(headings, mounts)
     error = [value for value in found.stage.map.error_deg if value is not None]
     orders = len(found.stage.harmonics)
     print_line(f"map of the stage: {_signed(min(error))} to {_signed(max(error))}, {orders} orders")
@@ -247,6 +254,8 @@ def _print_stage(found: SolutionDocument) -> None:
     before, after = (number(one.held_out_rms_deg, "°") for one in (found.before, found.final))
     print_line(f"held-out RMS: {before} without the map, {after} with the map")
     print_warnings(found.warnings)
+    if found.advice is not None and not is_whole:
+        print_line(f"recommended: {found.advice.says}")
 
 
 def _measurand(unit: SolvedUnit) -> str:
@@ -260,30 +269,7 @@ def _signed(value_deg: float, std_deg: float | None = None) -> str:
     return ("+" if value_deg > 0.0 else "") + angle_text(value_deg, std_deg=std_deg)
 
 
-def _with_std(parameter: SolvedValue, unit: str) -> tuple[str, str]:
-    return number(parameter.value, unit), number(parameter.std, unit)
-
-
 AXES = "xyz"
-
-
-def _print_whole(found: SolutionDocument) -> None:
-    """Print accelerometers, gyros, mounts, stage map, errors before and after."""
-    _print_verdict(found)
-    for unit in found.units:
-        print_line("")
-        _print_accelerometer(unit)
-        if unit.gyro is not None:
-            _print_gyro(unit.gyro)
-        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
-        print_line(f"elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°, less its mean")
-    print_line("")
-    mounts = (
-        (one.mount, one.unit, one["mount_axis"], f"{one.mount_deg:g}°", *_with_std(one.angle_deg, "°"))
-        for one in found.mounts
-    )
-    print_table(("mount", "unit", "axis", "stated", "found", "±"), mounts)
-    _print_stage(found)
 
 
 def _print_accelerometer(unit: SolvedUnit) -> None:
