@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, TypeVar
 
 from starlette.concurrency import run_in_threadpool
@@ -176,8 +175,7 @@ class Streams:
         watched = self._watched.get(run_id)
         if watched is None:
             watched = self._watched[run_id] = _Watched()
-            wake = partial(asyncio.get_running_loop().call_soon_threadsafe, _tell, watched)
-            watched.leave = bus.subscribe(run_id, wake)  # the run's thread has one call for all its streams
+            watched.leave = bus.subscribe(run_id, _waking(watched))
         news = asyncio.Event()
         watched.news.add(news)
         try:
@@ -196,6 +194,16 @@ class Streams:
         self.closed = True
         for watched in self._watched.values():
             _tell(watched)
+
+
+def _waking(watched: _Watched) -> Callable[[], None]:
+    """Return the callback for the run's thread: one for all of its streams."""
+    loop = asyncio.get_running_loop()
+
+    def wake() -> None:
+        loop.call_soon_threadsafe(_tell, watched)
+
+    return wake
 
 
 def _tell(watched: _Watched) -> None:
