@@ -328,7 +328,6 @@ class VirtualEvent:
 
     def __init__(self, clock: VirtualClock) -> None:
         self._condition = VirtualCondition(clock)
-        self._clock = clock
         self._is_set = False
 
     def is_set(self) -> bool:

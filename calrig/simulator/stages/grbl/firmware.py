@@ -109,6 +109,12 @@ class Firmware:
         closed: axes whose switch is held closed.
     """
 
+    flags: set[str]
+    alarm: int | None
+    counters: Counters
+    shares: list[int]
+    parser: ParserState
+
     def __init__(self, options: StageOptions, index: int, motor: Motor) -> None:
         version = options.firmware or "1.1h"
         self.index = index
@@ -131,16 +137,9 @@ class Firmware:
         self._boots_until_s = at_s + boot_s
         self._last_heard: int | None = None
         self.motion = Motion(self.eeprom, self.motor.drive, self.index)
-        self.parser = ParserState(self.eeprom.n_axes)
         self.state = State.ALARM if self.eeprom.flag(HOMING) else State.IDLE
-        self.is_aborted = False
-        self.flags: set[str] = set()
-        self.alarm: int | None = None
         self._frozen_s = -math.inf
-        self._clear_suspend()
-        self.accessories = 5, 9
-        self.counters = Counters()
-        self.shares = [100, 100, 100]
+        self._begin_anew()
         self._commands = Commands(self)
         self._program = self._main()
         self._wake_s = self._boots_until_s
