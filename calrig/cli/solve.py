@@ -11,12 +11,12 @@ from urllib.parse import quote
 import typer
 
 from calrig.cli import options
-from calrig.cli.input_files import names_a_file, read_bytes
+from calrig.cli.input_files import names_a_file, read_bytes, told_of
 from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server, whole_id
 from calrig.cli.output import number, print_line, print_parameter, print_table, print_warnings
 from calrig.cli.progress import late_bar
 from calrig.cli.running_service import open_store, running_service, whole_id_there
-from calrig.errors import InputError, WorkError
+from calrig.errors import InputError, writable
 from calrig.estimation.angle_text import angle_text
 
 if TYPE_CHECKING:
@@ -192,10 +192,8 @@ def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[s
     from calrig.export.csv_errors import CsvError
     from calrig.export.poses_csv import read_mounted
 
-    try:
+    with told_of(file, CsvError):
         lots, said = read_mounted(read_bytes(file), str(file), serial)
-    except CsvError as error:
-        raise InputError(f"{file}: {error}") from error
     if serial is not None and (others := sorted({lot.unit for lot in lots} - {serial})):
         said = [*said, f"--unit {serial} is not theirs whose unit the file says: {', '.join(others)}"]
     return lots, [f"{file}: {sentence}" for sentence in said]
@@ -204,12 +202,10 @@ def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[s
 def _write(folder: Path, found: Solved) -> None:
     from calrig.export.solution_documents import joint_files
 
-    try:
+    with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in joint_files(found.calibrations, found.stage_map).items():
             (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error
 
 
 def _print_solution(found: SolutionDocument, *, is_whole: bool) -> None:
