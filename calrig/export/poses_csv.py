@@ -223,18 +223,9 @@ def _check(cells: Cells, values: Sequence[float | None], report: CsvReport) -> N
         cells.refuse(values, lambda value: value not in {None, -1.0, 0.0, 1.0}, "is none of -1, 0, 1", report)
     elif name in INTEGER:
         counts = [0.0 if value is None else value for value in values]
-        cells.refuse(counts, lambda value: not _is_whole(value), "is not whole", report)
-        cells.refuse(
-            counts, lambda value: _is_whole(value) and not _is_count(value), "is not a count", report
-        )
-
-
-def _is_whole(value: float | None) -> bool:
-    return value is not None and value.is_integer()
-
-
-def _is_count(value: float | None) -> bool:
-    return value is not None and 0 <= value <= MAX_COUNT
+        cells.refuse(counts, lambda value: not (value or 0.0).is_integer(), "is not whole", report)
+        whole = [0.0 if not value.is_integer() else value for value in counts]
+        cells.refuse(whole, lambda value: not 0 <= (value or 0.0) <= MAX_COUNT, "is not a count", report)
 
 
 AXIS = "mount_axis"
