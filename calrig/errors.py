@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class WorkError(Exception):
     """The work failed (1); the message is the reason."""
@@ -9,6 +12,24 @@ class WorkError(Exception):
 
 class InputError(Exception):
     """Wrong usage or unreadable input (2); the message says where."""
+
+
+@contextmanager
+def readable(file: object) -> Iterator[None]:
+    """What the system does not let be read in the block is an InputError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+
+
+@contextmanager
+def writable(file: object) -> Iterator[None]:
+    """What the system does not let be written in the block is a WorkError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise WorkError(f"{file}: cannot be written ({error.strerror})") from error
 
 
 def printable(text: str) -> str:

@@ -186,19 +186,19 @@ def _preview(
     from calrig.export.certificate.pdf import RendererMissingError
     from calrig.export.signing import SignerMissingError
 
-    name = f"preview-{found.sha256[:12]}-{found.revision}"
+    make, ending, kind = {
+        "pdf": (certificate_pdf, "pdf", "inline"),
+        "dcc": (certificate_dcc, "xml", "attachment"),
+    }[form]
     try:
-        if form == "dcc":
-            xml = certificate_dcc(context.store, found, context.laboratory, heavy.from_thread)
-            named = {"Content-Disposition": f'attachment; filename="{name}.xml"'}
-            return Response(xml, media_type="application/xml", headers=named)
-        pdf = certificate_pdf(context.store, found, context.laboratory, heavy.from_thread)
+        made = make(context.store, found, context.laboratory, heavy.from_thread)
     except SignerMissingError as error:
         raise HTTPException(501, str(error)) from error
     except RendererMissingError as error:
         raise HTTPException(501, f"{error}; the unit's page prints well from a browser") from error
-    named = {"Content-Disposition": f'inline; filename="{name}.pdf"'}
-    return Response(pdf, media_type="application/pdf", headers=named)
+    name = f"preview-{found.sha256[:12]}-{found.revision}.{ending}"
+    named = {"Content-Disposition": f'{kind}; filename="{name}"'}
+    return Response(made, media_type=f"application/{ending}", headers=named)
 
 
 def _wanted(revision: str | None) -> int | Literal["latest"] | None:

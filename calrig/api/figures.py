@@ -13,10 +13,10 @@ from calrig.analysis.check_standard import check_chart
 from calrig.analysis.comparison import ComparedFigure, compared_figure, compared_runs
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import charts, histories
-from calrig.api.compare import Units, of_units
 from calrig.api.context import ApiContext, Context, KnownRun, KnownUnit
 from calrig.api.jobs import Heavy
 from calrig.api.routes import answers
+from calrig.api.units import Units, of_units
 from calrig.model.noise import Figure
 from calrig.store import Run
 from calrig.store.records import Document

@@ -188,9 +188,9 @@ class RequestLog:
 
 def _say(scope: Scope, status: int, took_s: float) -> None:
     client, caller = scope.get("client"), caller_of(HTTPConnection(scope))
-    named = {name: scope.get("path_params", {}).get(name) for name in ("run_id",)}
+    run_id = scope.get("path_params", {}).get("run_id")
     fields = {
-        **{name: value for name, value in named.items() if value is not None},
+        **({} if run_id is None else {"run_id": run_id}),
         **({} if caller is None or caller.name is None else {"user": caller.name}),
         "client": client[0] if client else "?",
         "method": scope["method"],

@@ -1,16 +1,19 @@
-"""Units: their runs, the calibration item as received, and their archive. A serial number may contain `/`."""
+"""Units: their runs, changes and comparison, the calibration item as received, and their archive.
+
+A serial number may contain `/`.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from datetime import date
 from functools import partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import IO, Annotated, ClassVar, Literal
+from typing import IO, Annotated, ClassVar, Literal, TypeVar
 from unicodedata import category
 
 from fastapi import APIRouter, Header, HTTPException, Query
@@ -20,7 +23,8 @@ from pydantic import Field, field_validator
 
 from calrig.analysis.certificates import write_archive
 from calrig.analysis.check_standard import with_doubts
-from calrig.analysis.histories import histories
+from calrig.analysis.comparison import comparison_json
+from calrig.analysis.histories import histories, unit_changes
 from calrig.analysis.unit_list import (
     ListedUnit,
     UnitChange,
@@ -31,17 +35,62 @@ from calrig.analysis.unit_list import (
     units_csv,
 )
 from calrig.api.access import Who
-from calrig.api.context import Context, KnownUnit
+from calrig.api.context import ApiContext, Context, KnownUnit
 from calrig.api.errors import no_room
-from calrig.api.jobs import Heavy
+from calrig.api.jobs import BackgroundWork, Heavy
 from calrig.api.measurements import prefers_csv
 from calrig.api.models import Body, RunAnswer
 from calrig.api.routes import BYTES, TEXT, answers
+from calrig.model.comparison import Change, Comparison
+from calrig.store import Store
+from calrig.store.store import with_store
 from calrig.store.units import CalibrationItem, ItemField
 
 EVERY_RUN = 2**31
 
 router = APIRouter(tags=["units"])
+T = TypeVar("T")
+
+
+@router.get("/api/units/{serial:path}/changes", **answers(list[Change], "What changed from run to run", 404))
+def show_changes(serial: str, context: Context) -> object:
+    """From each valid calibration to the next, the oldest first.
+
+    `effects` are those of the stored diagnosis of both runs together; where there is none,
+    `POST /api/runs/{to}/diagnosis` with `{"runs": [from]}` makes one.
+    """
+    return unit_changes(context.store, serial)
+
+
+Units = Annotated[
+    list[str] | None, Query(description="Serial numbers, in the order wanted; all without any.")
+]
+
+
+@router.get("/api/compare", **answers(Comparison, "Units side by side", 404, 429, 503))
+def compare(context: Context, heavy: Heavy, unit: Units = None) -> Response:
+    """Valid calibrations only; `spread` compares the differences between units with the repeatability.
+
+    Units that changed by more than repeatability come first, in the order of significance. The test uses all
+    units of the store, whichever are requested, and of very many runs the latest.
+    """
+    made = of_units(context, heavy, unit, partial(comparison_json, unit, context.interval_days))
+    # Thousands of rows straight from the store: a test holds them to the model, so that no answer has to be.
+    return Response(made, media_type="application/json")
+
+
+FEW_UNITS = 50
+"""They are compared within 0.1 s; more are in another process, so that a stop need not wait for them."""
+
+
+def of_units(
+    context: ApiContext, heavy: BackgroundWork, serials: Sequence[str] | None, work: Callable[[Store], T]
+) -> T:
+    """Return what the work gives for the store: here for a few units, in another process for many."""
+    n = context.store.units.count() if serials is None else len(serials)
+    if n <= FEW_UNITS:
+        return work(context.store)
+    return heavy.from_thread(partial(with_store, context.store.url, work))
 
 
 TURNS = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")

@@ -16,7 +16,7 @@ import typer
 from calrig.cli.exit_status import Listed
 from calrig.cli.options import Config, Db, Json, Server
 from calrig.cli.running_service import client_at, open_store
-from calrig.errors import InputError, WorkError
+from calrig.errors import InputError, writable
 
 if TYPE_CHECKING:
     from calrig.store import Store
@@ -157,11 +157,9 @@ def _authorities(ca: Path | None) -> Path | str:
 @contextmanager
 def _secret(path: Path) -> Iterator[IO[str]]:
     """A file that only its owner reads; it takes the place of the one before when the block ends well."""
-    try:
+    with writable(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         file = NamedTemporaryFile("w", dir=path.parent, prefix=".calrig-", delete=False)  # noqa: SIM115
-    except OSError as error:
-        raise WorkError(f"{path}: cannot be written ({error.strerror})") from error
     written = Path(file.name)
     try:
         with file:

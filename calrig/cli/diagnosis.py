@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from calrig.cli import options
-from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file
+from calrig.cli.input_files import names_a_file, read_log_file, read_poses_file, told_of
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, Json, Plot, Rate, Server, whole_id
 from calrig.cli.running_service import open_store, running_service, whole_id_there
 from calrig.errors import InputError, WorkError
@@ -65,15 +65,13 @@ def diagnose(
     files = [source for source in sources if names_a_file(source)]
     if files and len(files) < len(sources):
         raise InputError("diagnose: name files or run ids, not both")
-    try:
+    with told_of(", ".join(sources), DiagnosisError):
         request = DiagnosisRequest(reference or "stage", tuple(period or ()))
         found, poses_of = (
             _of_files(files, request)
             if files
             else _of_runs(sources, reference, request.periods_deg, db, server)
         )
-    except DiagnosisError as error:
-        raise InputError(f"{', '.join(sources)}: {error}") from error
     if as_json:
         output.print_json(found)
     elif files:
@@ -106,7 +104,7 @@ def gravity(
     from calrig.export.static_csv import accel_g_of
 
     log = read_log_file(file, accel_range)
-    try:
+    with told_of(file, CsvError, GravityError):
         found = calibrate_by_gravity(
             accel_g_of(log),
             time_s=log.forward_time_s,
@@ -114,8 +112,6 @@ def gravity(
             gyro_dps=log.axes("gyro", "dps"),
             temperature_c=log.channels.get("temperature_c"),
         )
-    except (CsvError, GravityError) as error:
-        raise InputError(f"{file}: {error}") from error
     document = gravity_document(found, log.line_of)
     of_time = [f"time_s {log.time_flaw}; not used"] if log.time_flaw else []
     document["warnings"] = [*of_time, *log.warnings, *document["warnings"]]

@@ -17,7 +17,7 @@ from calrig.cli import options
 from calrig.cli.options import SHORTENED, Db, Server, whole_id
 from calrig.cli.progress import late_bar
 from calrig.cli.running_service import is_named, open_store, running_service, whole_id_there
-from calrig.errors import InputError, WorkError
+from calrig.errors import InputError, WorkError, writable
 
 if TYPE_CHECKING:
     from calrig.calibration.packed_poses import PackedPoses
@@ -327,10 +327,8 @@ def _put(certificate: bytes, out: Path | None) -> None:
     if out is None:
         sys.stdout.buffer.write(certificate)
         return
-    try:
+    with writable(out):
         out.write_bytes(certificate)
-    except OSError as error:
-        raise WorkError(f"{out}: cannot be written ({error.strerror})") from error
 
 
 def _certificate_of(

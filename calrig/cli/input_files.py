@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calrig.cli.options import looks_like_an_id
-from calrig.errors import InputError
+from calrig.errors import InputError, readable
 
 if TYPE_CHECKING:
     from calrig.calibration.poses import Pose
@@ -35,15 +36,21 @@ def in_utf8(name: str) -> str:
 
 def read_bytes(file: Path, limit: int = LARGEST_POSES) -> bytes:
     """The file's content, or InputError that says why not; a file that says its size is not read in vain."""
-    try:
-        with file.open("rb") as opened:
-            is_larger = os.fstat(opened.fileno()).st_size > limit
-            content = b"" if is_larger else opened.read(limit + 1)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    with readable(file), file.open("rb") as opened:
+        is_larger = os.fstat(opened.fileno()).st_size > limit
+        content = b"" if is_larger else opened.read(limit + 1)
     if is_larger or len(content) > limit:
         raise InputError(f"{file}: larger than the maximum of {limit} bytes; split the file")
     return content
+
+
+@contextmanager
+def told_of(file: object, *kinds: type[Exception]) -> Iterator[None]:
+    """Errors of these kinds in the block are InputErrors that name the file."""
+    try:
+        yield
+    except kinds as error:
+        raise InputError(f"{file}: {error}") from error
 
 
 def read_poses_file(file: Path) -> tuple[list[Pose], list[str]]:
@@ -51,10 +58,8 @@ def read_poses_file(file: Path) -> tuple[list[Pose], list[str]]:
     from calrig.export.csv_errors import CsvError
     from calrig.export.poses_csv import read_about_x
 
-    try:
+    with told_of(file, CsvError):
         return read_about_x(read_bytes(file))
-    except CsvError as error:
-        raise InputError(f"{file}: {error}") from error
 
 
 def read_log_file(
@@ -67,15 +72,13 @@ def read_log_file(
     from calrig.export.csv_errors import CsvError
     from calrig.export.static_csv import read_static
 
-    try:
+    with told_of(file, CsvError):
         return read_static(
             read_bytes(file, LARGEST_LOG),
             accel_range_g=accel_range_g,
             gyro_range_dps=gyro_range_dps,
             progress=progress,
         )
-    except CsvError as error:
-        raise InputError(f"{file}: {error}") from error
 
 
 def read_plan_file(file: Path) -> Plan:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 import typer
 
 from calrig.cli import options
-from calrig.cli.input_files import names_a_file, read_log_file
+from calrig.cli.input_files import names_a_file, read_log_file, told_of
 from calrig.cli.options import COLUMNS, SHORTENED, AccelRange, Db, GyroRange, Json, Plot, Rate, whole_id
 from calrig.cli.running_service import NAMED, open_store, running_service, whole_id_there
-from calrig.errors import InputError
 
 if TYPE_CHECKING:
     from calrig.analysis.log_studies import Found, Study
@@ -106,11 +105,9 @@ def _of_file(study: Study, file: Path, given: _Recorded) -> Found:
     with late_bar(file.name) as show:
         ranges = given["accel_range_g"], given["gyro_range_dps"]
         log = read_log_file(file, *ranges, lambda share: show(READING * share))
-        try:
+        with told_of(file, ValueError):
             found = log.channels, log.time_s, given["rate_hz"], log.warnings
             return studied(study, *found, progress=lambda share: show(READING + (1.0 - READING) * share))
-        except ValueError as error:
-            raise InputError(f"{file}: {error}") from error
 
 
 def _noise_there(client: Client, file: Path, given: _Recorded) -> Found:

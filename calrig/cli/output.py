@@ -366,10 +366,8 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
         ("pure error", "", number(noise.pure_error_deg, "°")),
     ]
     print_table(("RMS", "before", "after"), rows)
-    print_sentence(f"held out: {found.held_out.how}")
-    for sentence in found.says[1:]:  # the first has the names, as above
-        print_sentence(sentence)
-    for sentence in _of_base(base):
+    says = found.says[1:]  # the first has the names, as above
+    for sentence in (f"held out: {found.held_out.how}", *says, *_of_base(base)):
         print_sentence(sentence)
     print_warnings(found.warnings)
     if found.follow_up is not None:

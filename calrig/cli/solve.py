@@ -11,19 +11,19 @@ from urllib.parse import quote
 import typer
 
 from calrig.cli import options
-from calrig.cli.input_files import names_a_file, read_bytes
+from calrig.cli.input_files import names_a_file, read_bytes, told_of
 from calrig.cli.options import COLUMNS, SHORTENED, Db, Json, Plot, Server, whole_id
 from calrig.cli.output import number, print_line, print_parameter, print_table, print_warnings
 from calrig.cli.progress import late_bar
 from calrig.cli.running_service import open_store, running_service, whole_id_there
-from calrig.errors import InputError, WorkError
+from calrig.errors import InputError, writable
 from calrig.estimation.angle_text import angle_text
 
 if TYPE_CHECKING:
     from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.calibration.separation import MountedPoses
     from calrig.client import Client
-    from calrig.model.solution import Frame, SolutionDocument, SolvedUnit, SolvedValue
+    from calrig.model.solution import Frame, SolutionDocument, SolvedUnit
     from calrig.store.records import Solved
 
 
@@ -136,8 +136,7 @@ def solve(
     if as_json:
         output.print_json(document)
     else:
-        print_ = _print_whole if found.is_whole else _print_solution
-        print_(SolutionDocument.model_validate(document))
+        _print_solution(SolutionDocument.model_validate(document), is_whole=found.is_whole)
 
 
 def _check_options(frame: str, limits: tuple[float, float] | None) -> None:
@@ -193,10 +192,8 @@ def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[s
     from calrig.export.csv_errors import CsvError
     from calrig.export.poses_csv import read_mounted
 
-    try:
+    with told_of(file, CsvError):
         lots, said = read_mounted(read_bytes(file), str(file), serial)
-    except CsvError as error:
-        raise InputError(f"{file}: {error}") from error
     if serial is not None and (others := sorted({lot.unit for lot in lots} - {serial})):
         said = [*said, f"--unit {serial} is not theirs whose unit the file says: {', '.join(others)}"]
     return lots, [f"{file}: {sentence}" for sentence in said]
@@ -205,40 +202,46 @@ def _of_file(file: Path, serial: str | None) -> tuple[list[MountedPoses], list[s
 def _write(folder: Path, found: Solved) -> None:
     from calrig.export.solution_documents import joint_files
 
-    try:
+    with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in joint_files(found.calibrations, found.stage_map).items():
             (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise WorkError(f"{folder}: cannot be written ({error.strerror})") from error
 
 
-def _print_solution(found: SolutionDocument) -> None:
-    """Print a joint solution: elevation uncertainty, units, mounts, stage map, errors before and after."""
-    _print_verdict(found)
-    for unit in found.units:
-        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
-        of_what = _measurand(unit)
-        print_line(f"\nunit {unit.unit}: elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°{of_what}")
-        for name, parameter in unit.parameters.items():
-            print_parameter(name, parameter)
-    print_line("")
-    mounts = (
-        (one.mount, one.unit, f"{one.mount_deg:g}°", *_with_std(one.angle_deg, "°")) for one in found.mounts
-    )
-    print_table(("mount", "unit", "stated", "found", "±"), mounts)
-    _print_stage(found)
-    if found.advice is not None:
-        print_line(f"recommended: {found.advice.says}")
+def _print_solution(found: SolutionDocument, *, is_whole: bool) -> None:
+    """Print a joint solution: units, mounts, stage map, errors before and after, warnings.
 
-
-def _print_verdict(found: SolutionDocument) -> None:
+    `is_whole` is of units clamped by several faces, whose accelerometers and gyros are printed.
+    """
     verdict = f"stage and units are {'' if found.separable else 'not '}separable"
     print_line(f"{verdict}; a pose's noise is {number(found.noise['std_deg'], '°')}", style="bold")
-
-
-def _print_stage(found: SolutionDocument) -> None:
-    """Print the stage map, the errors before and after, and warnings."""
+    for unit in found.units:
+        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
+        elevation = f"elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°"
+        print_line("")
+        if is_whole:
+            _print_accelerometer(unit)
+            if unit.gyro is not None:
+                _print_gyro(unit.gyro)
+            print_line(f"{elevation}, less its mean")
+        else:
+            print_line(f"unit {unit.unit}: {elevation}{_measurand(unit)}")
+            for name, parameter in unit.parameters.items():
+                print_parameter(name, parameter)
+    print_line("")
+    headings = ("mount", "unit", *(["axis"] if is_whole else []), "stated", "found", "±")
+    mounts = (
+        (
+            one.mount,
+            one.unit,
+            *([one["mount_axis"]] if is_whole else []),
+            f"{one.mount_deg:g}°",
+            number(one.angle_deg.value, "°"),
+            number(one.angle_deg.std, "°"),
+        )
+        for one in found.mounts
+    )
+    print_table(headings, mounts)
     error = [value for value in found.stage.map.error_deg if value is not None]
     orders = len(found.stage.harmonics)
     print_line(f"map of the stage: {_signed(min(error))} to {_signed(max(error))}, {orders} orders")
@@ -247,6 +250,8 @@ def _print_stage(found: SolutionDocument) -> None:
     before, after = (number(one.held_out_rms_deg, "°") for one in (found.before, found.final))
     print_line(f"held-out RMS: {before} without the map, {after} with the map")
     print_warnings(found.warnings)
+    if found.advice is not None and not is_whole:
+        print_line(f"recommended: {found.advice.says}")
 
 
 def _measurand(unit: SolvedUnit) -> str:
@@ -260,30 +265,7 @@ def _signed(value_deg: float, std_deg: float | None = None) -> str:
     return ("+" if value_deg > 0.0 else "") + angle_text(value_deg, std_deg=std_deg)
 
 
-def _with_std(parameter: SolvedValue, unit: str) -> tuple[str, str]:
-    return number(parameter.value, unit), number(parameter.std, unit)
-
-
 AXES = "xyz"
-
-
-def _print_whole(found: SolutionDocument) -> None:
-    """Print accelerometers, gyros, mounts, stage map, errors before and after."""
-    _print_verdict(found)
-    for unit in found.units:
-        print_line("")
-        _print_accelerometer(unit)
-        if unit.gyro is not None:
-            _print_gyro(unit.gyro)
-        worst, (low, high) = max(unit.elevation_std_deg.std_deg), unit.range_deg
-        print_line(f"elevation ± {worst:.2g}° at most, {low:g}° to {high:g}°, less its mean")
-    print_line("")
-    mounts = (
-        (one.mount, one.unit, one["mount_axis"], f"{one.mount_deg:g}°", *_with_std(one.angle_deg, "°"))
-        for one in found.mounts
-    )
-    print_table(("mount", "unit", "axis", "stated", "found", "±"), mounts)
-    _print_stage(found)
 
 
 def _print_accelerometer(unit: SolvedUnit) -> None:

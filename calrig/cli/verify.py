@@ -9,7 +9,7 @@ import typer
 
 from calrig.cli.options import Json
 from calrig.cli.running_service import open_store
-from calrig.errors import InputError, printable
+from calrig.errors import printable, readable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -54,11 +54,8 @@ def verify(
 
 
 def _is_store(file: Path) -> bool:
-    try:
-        with file.open("rb") as opened:
-            return opened.read(len(_STORE_BEGINS)) == _STORE_BEGINS
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    with readable(file), file.open("rb") as opened:
+        return opened.read(len(_STORE_BEGINS)) == _STORE_BEGINS
 
 
 def _check_backup(file: Path) -> Checked:

@@ -70,7 +70,7 @@ class Client(Transport):
 
     def run(self, run_id: str) -> Run:
         """A run by its whole id."""
-        return Run.of_id(self, run_id)
+        return Run(self, typed(RunRecord, self.get(f"/api/runs/{quote(run_id, safe='')}")))
 
     def runs(
         self,
@@ -235,7 +235,7 @@ class Client(Transport):
         told: Told = ignore_progress,
     ) -> Diagnosis:
         """As `Run.diagnose`, by the run's id."""
-        run = Run.of_id(self, run_id)
+        run = self.run(run_id)
         return run.diagnose(*more, reference=reference, periods_deg=periods_deg, told=told)
 
     def solve(

@@ -6,8 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from typing import Any, Literal, Self
-from urllib.parse import quote
+from typing import Any, Literal
 
 from calrig.client.documents import RunEvent, RunRecord, typed
 from calrig.client.errors import INVALID, Invalid, Refused, RunFailed, ServiceError, Unreachable
@@ -31,46 +30,6 @@ Away = Callable[[ServiceError], None]
 
 def ignore_error(_error: ServiceError) -> None:
     """For who does not want to be told that the service is away."""
-
-
-def run_events(link: Transport, run_id: str, after: int = 0, away: Away = ignore_error) -> Iterator[RunEvent]:
-    """What happened in a run since an event, then what happens, until nobody carries it out any more.
-
-    Args:
-        link: to the service.
-        run_id: whole.
-        after: `id` of the last event known; 0 for all.
-        away: is told once each time that the service does not answer any more, and is waited for.
-
-    Raises:
-        Refused: there is no such run, or the service lets nobody look.
-        Unreachable: the service has been away for `PATIENCE_S`.
-    """
-    known, path = after, f"/api/runs/{run_id}"
-    away_since_s: float | None = None
-    while True:
-        latest: RunEvent | None = None
-        try:
-            with link.lines(f"{path}/events", {"Last-Event-ID": str(known)}) as lines:
-                away_since_s = None
-                for fields in parsed(lines):
-                    latest = _event(fields)
-                    if latest.id > known:
-                        known = latest.id
-                        yield latest
-            # A service that is told to stop ends the stream too: only the run itself tells that it has ended.
-            if (latest is None or latest.is_last) and link.get(path)["status"] in AT_REST:
-                return
-        except (Unreachable, Refused) as error:
-            if error.status not in AWAY:
-                raise
-            if away_since_s is None:
-                away_since_s = time.monotonic()
-                away(error)
-            if time.monotonic() - away_since_s > PATIENCE_S:
-                raise
-        if latest is None:
-            nap(AGAIN_S)
 
 
 def parsed(lines: Iterable[bytes]) -> Iterator[dict[str, str]]:
@@ -151,11 +110,6 @@ class Run:
         self.id, self.unit = record.id, record.unit
         self._path = f"/api/runs/{record.id}"
 
-    @classmethod
-    def of_id(cls, link: Transport, run_id: str) -> Self:
-        """The run of a whole id."""
-        return cls(link, typed(RunRecord, link.get(f"/api/runs/{quote(run_id, safe='')}")))
-
     def __repr__(self) -> str:
         return f"<calrig run {self.id} of {self.unit!r}, {self._record.status}>"
 
@@ -180,9 +134,34 @@ class Run:
             away: is told why, once, each time that the service does not answer and is waited for.
 
         Raises:
-            Unreachable: it has been away for two minutes.
+            Refused: there is no such run, or the service lets nobody look.
+            Unreachable: the service has been away for `PATIENCE_S`.
         """
-        return run_events(self._link, self.id, after, away)
+        known = after
+        away_since_s: float | None = None
+        while True:
+            latest: RunEvent | None = None
+            try:
+                with self._link.lines(f"{self._path}/events", {"Last-Event-ID": str(known)}) as lines:
+                    away_since_s = None
+                    for fields in parsed(lines):
+                        latest = _event(fields)
+                        if latest.id > known:
+                            known = latest.id
+                            yield latest
+                # A service that is told to stop ends the stream too: only the run tells that it has ended.
+                if (latest is None or latest.is_last) and self._link.get(self._path)["status"] in AT_REST:
+                    return
+            except (Unreachable, Refused) as error:
+                if error.status not in AWAY:
+                    raise
+                if away_since_s is None:
+                    away_since_s = time.monotonic()
+                    away(error)
+                if time.monotonic() - away_since_s > PATIENCE_S:
+                    raise
+            if latest is None:
+                nap(AGAIN_S)
 
     def wait(self) -> RunRecord:
         """The run once it has ended, however."""

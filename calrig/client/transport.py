@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 import httpx
 
 from calrig.client.errors import INVALID, Invalid, Refused, Unreachable
-from calrig.errors import InputError, printable
+from calrig.errors import InputError, printable, readable
 
 
 def checked(server: str) -> str:
@@ -280,15 +280,13 @@ def _opened(file: Path) -> Iterator[IO[bytes]]:
     Raises:
         InputError: it cannot be read.
     """
-    try:
+    with readable(file):
         opened: IO[bytes] = file.open("rb")
         if not stat.S_ISREG(os.fstat(opened.fileno()).st_mode):
             with opened as piped:
                 opened = TemporaryFile()  # noqa: SIM115 (closed below)
                 copyfileobj(piped, opened)
                 opened.flush()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
     with opened:
         yield opened
 

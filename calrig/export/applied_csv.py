@@ -69,6 +69,7 @@ READING, TEMPERATURE = "reading_deg", "temperature_c"
 ADDED = ("elevation_deg", "elevation_std_deg")
 UNITS = {"g": 1.0, "mps2": STANDARD_GRAVITY_MPS2}
 """What an acceleration is divided by, by the unit in its column's name."""
+OF_ROW, OF_EFFECTS = "and a row needs it", "and effects of the calibration follow it"
 Triple = tuple[int | None, int, int]
 """Places of x (None where it is not there), y and z."""
 NAMES = {READING, TEMPERATURE, *(f"accel_{axis}_{unit}" for axis in AXES for unit in UNITS)}
@@ -218,38 +219,30 @@ class _Places:
     def readings(self, table: Table) -> FloatArray:
         """(n,) degrees."""
         if self.reading is not None:
-            return _known(table.column(self.reading), table, "and a row needs it")
+            return _numbers(table.column(self.reading), table, OF_ROW)
         x, y, z = self.accel
         of_x = np.full(len(table.rows), np.nan) if x is None else _numbers(table.column(x), table)
-        along = [_known(table.column(place), table, "and a row needs it") for place in (y, z)]
+        along = [_numbers(table.column(place), table, OF_ROW) for place in (y, z)]
         return self.application.reading_of_deg(np.column_stack([of_x, *along]) / self.accel_unit)
 
     def temperatures(self, table: Table) -> FloatArray | None:
         """(n,) °C, or None where there are none."""
         if self.temperature is None:
             return None
-        cells = table.column(self.temperature)
-        is_needed = TEMPERATURE in self.application.columns
-        return _followed(cells, table) if is_needed else _numbers(cells, table)
+        needed = OF_EFFECTS if TEMPERATURE in self.application.columns else ""
+        return _numbers(table.column(self.temperature), table, needed)
 
     def further(self, table: Table) -> dict[str, FloatArray]:
         """(n,) each, the other columns that effects follow."""
-        return {name: _followed(table.column(place), table) for name, place in self.others.items()}
+        return {name: _numbers(table.column(at), table, OF_EFFECTS) for name, at in self.others.items()}
 
 
-def _numbers(cells: Cells, table: Table) -> FloatArray:
+def _numbers(cells: Cells, table: Table, needed: str = "") -> FloatArray:
+    """(n,) NaN where not known, which is a fault of the file where the numbers are `needed`, and why."""
     values = cells.numbers(table.layout.report)
-    return np.array([math.nan if value is None else value for value in values])
-
-
-def _known(cells: Cells, table: Table, why: str) -> FloatArray:
-    values = cells.numbers(table.layout.report)
-    cells.refuse(values, lambda value: value is None, f"is not known, {why}", table.layout.report)
+    if needed:
+        cells.refuse(values, lambda value: value is None, f"is not known, {needed}", table.layout.report)
     return np.array(values, dtype=np.float64)
-
-
-def _followed(cells: Cells, table: Table) -> FloatArray:
-    return _known(cells, table, "and effects of the calibration follow it")
 
 
 def _title(column: Column, unit: str) -> str:

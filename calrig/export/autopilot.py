@@ -44,8 +44,19 @@ class Parameters:
     axes: FloatArray
     notes: list[str]
 
-    def accelerometer_test(self) -> list[str]:
-        """Lines of a test vector, by the arithmetic that PX4 and ArduPilot have in common."""
+    def rows(self, offset: str, scale: str, gyro_offset: str) -> list[tuple[str, float]]:
+        """Parameters of what is known of each axis; names have `{}` where the axis' letter stands."""
+        rows: list[tuple[str, float]] = []
+        for axis, offset_mps2, factor in zip("XYZ", self.offset_mps2, self.scale, strict=True):
+            if not np.isnan(offset_mps2):
+                rows += [(offset.format(axis), offset_mps2), (scale.format(axis), factor)]
+        for axis, offset_rps in zip("XYZ", self.gyro_offset_rps, strict=True):
+            if not np.isnan(offset_rps):
+                rows.append((gyro_offset.format(axis), offset_rps))
+        return rows
+
+    def tests(self) -> list[str]:
+        """Lines of test vectors, by the arithmetic that PX4 and ArduPilot have in common."""
         raw = self.axes @ RAW_G * STANDARD_GRAVITY_MPS2
         celsius, thermal = None, np.zeros(3)
         if self.reference_c is not None:
@@ -53,15 +64,12 @@ class Parameters:
             thermal = self.per_c_mps2 * (celsius - self.reference_c)
         corrected = (raw - thermal - np.nan_to_num(self.offset_mps2)) * self.scale
         at = "" if celsius is None else f" at {celsius:.6g} degrees Celsius"
-        return [f"test vector, m/s^2{at}:", f"  raw {vector(raw)} -> corrected {vector(corrected)}"]
-
-    def gyro_test(self) -> list[str]:
-        """The same of the gyro; none where its offset is not known."""
+        lines = [f"test vector, m/s^2{at}:", f"  raw {vector(raw)} -> corrected {vector(corrected)}"]
         if np.isnan(self.gyro_offset_rps).all():
-            return []
+            return lines
         raw = self.axes @ np.radians(RAW_DPS)
         corrected = raw - np.nan_to_num(self.gyro_offset_rps)
-        return ["test vector, rad/s:", f"  raw {vector(raw)} -> corrected {vector(corrected)}"]
+        return [*lines, "test vector, rad/s:", f"  raw {vector(raw)} -> corrected {vector(corrected)}"]
 
 
 def parameters_of(document: Mapping[str, Any], axes: FloatArray, format_: str) -> Parameters:

@@ -19,7 +19,7 @@ from calrig.calibration.results import FittedResult, readings_wrap
 from calrig.calibration.separation import in_words
 from calrig.calibration.uncertainty import reference_figures, uncertainty
 from calrig.canonical_json import json_of_file, sha256_of
-from calrig.errors import InputError
+from calrig.errors import InputError, readable
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.model.result import Reference
 from calrig.store.records import AcceptedEffect, Document
@@ -64,11 +64,8 @@ def checked(document: Any, name: str) -> dict[str, Any]:
 
 
 def _from_file(file: Path) -> Any:
-    try:
-        with file.open("rb") as opened:
-            content = opened.read(LARGEST + 1)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    with readable(file), file.open("rb") as opened:
+        content = opened.read(LARGEST + 1)
     if len(content) > LARGEST:
         raise InputError(f"{file}: has more than {LARGEST} bytes, and no calibration has")
     return json_of_file(content, str(file), "a calibration")

@@ -57,7 +57,7 @@ class PoseColumns(Sequence[Pose]):
         column = self._columns.get(name)
         return None if column is None else [None if math.isnan(cell) else cell for cell in column]
 
-    def in_time(self) -> tuple[PoseColumns, str]:
+    def in_time(self) -> tuple[PoseColumns, list[str]]:
         """The poses by `time_s` if each has one, and what is to be said where they were not so."""
         order, said = self.order_in_time()
         if isinstance(order, range):
@@ -65,18 +65,18 @@ class PoseColumns(Sequence[Pose]):
         ordered = {name: array("d", map(column.__getitem__, order)) for name, column in self._columns.items()}
         return PoseColumns(ordered), said
 
-    def order_in_time(self) -> tuple[Sequence[int], str]:
+    def order_in_time(self) -> tuple[Sequence[int], list[str]]:
         """The rows by `time_s` if each has one, as a range where they are so, and what is to be said."""
         as_they_are = range(len(self))
         times = self._columns.get("time_s", array("d"))
         known = [time for time in times if not math.isnan(time)]
         if all(before <= after for before, after in itertools.pairwise(known)):
-            return as_they_are, ""
+            return as_they_are, []
         if len(known) < len(self):
             said = "time_s goes backwards and is not known for every row; the rows are left as they are"
-            return as_they_are, said
+            return as_they_are, [said]
         order = sorted(as_they_are, key=times.__getitem__)
-        return order, "the rows were not in order of time_s; they are sorted by it"
+        return order, ["the rows were not in order of time_s; they are sorted by it"]
 
 
 def _known(cells: Iterable[float], whole: bool) -> Iterator[float | int | None]:
@@ -92,33 +92,13 @@ def read_poses(data: bytes) -> ImportedPoses:
     Raises:
         CsvError: the file is not such a table; says line and column.
     """
-    columns, warnings = read_pose_columns(data)
-    return ImportedPoses(columns[:], warnings)
-
-
-def read_pose_columns(data: bytes) -> tuple[PoseColumns, list[str]]:
-    """The same, of which a hundred thousand poses fit into little memory."""
     poses, _, warnings = read_labelled_columns(data, ())
     ordered, of_time = poses.in_time()
-    return ordered, [*warnings, *([of_time] if of_time else [])]
-
-
-def read_labelled_poses(data: bytes, labels: Sequence[str]) -> tuple[list[Pose], list[Labels], list[str]]:
-    """Read poses as `read_poses`, with columns of text in addition.
-
-    `labels` are columns to be taken for text.
-
-    Returns:
-        The poses in the order measured, of each its texts by column (of columns that the file has, and cells
-        that are not blank), and warnings.
-    """
-    poses, texts, warnings = read_labelled_columns(data, labels)
-    order, of_time = poses.order_in_time()
-    rows = [{name: cells.texts[k] for name, cells in texts.items() if cells.texts[k]} for k in order]
-    return poses.in_time()[0][:], rows, [*warnings, *([of_time] if of_time else [])]
+    return ImportedPoses(ordered[:], [*warnings, *of_time])
 
 
 Labels = dict[str, str]
+"""Texts of a pose by column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,18 +223,9 @@ def _check(cells: Cells, values: Sequence[float | None], report: CsvReport) -> N
         cells.refuse(values, lambda value: value not in {None, -1.0, 0.0, 1.0}, "is none of -1, 0, 1", report)
     elif name in INTEGER:
         counts = [0.0 if value is None else value for value in values]
-        cells.refuse(counts, lambda value: not _is_whole(value), "is not whole", report)
-        cells.refuse(
-            counts, lambda value: _is_whole(value) and not _is_count(value), "is not a count", report
-        )
-
-
-def _is_whole(value: float | None) -> bool:
-    return value is not None and value.is_integer()
-
-
-def _is_count(value: float | None) -> bool:
-    return value is not None and 0 <= value <= MAX_COUNT
+        cells.refuse(counts, lambda value: not (value or 0.0).is_integer(), "is not whole", report)
+        whole = [0.0 if not value.is_integer() else value for value in counts]
+        cells.refuse(whole, lambda value: not 0 <= (value or 0.0) <= MAX_COUNT, "is not a count", report)
 
 
 AXIS = "mount_axis"
@@ -294,7 +265,7 @@ def read_run(
     if "mount" in texts:
         _refuse_two_in_one(texts["mount"], poses.cells(MOUNT_DEG))
     ordered, of_time = poses.in_time()
-    return ordered, axis, [*warnings, *([of_time] if of_time else [])], _file_reference(texts)
+    return ordered, axis, [*warnings, *of_time], _file_reference(texts)
 
 
 def read_about_x(data: bytes) -> tuple[list[Pose], list[str]]:
@@ -310,7 +281,7 @@ def read_about_x(data: bytes) -> tuple[list[Pose], list[str]]:
     if axis != "x":
         raise CsvError(f"is {axis}, and this is of elevations about x; `calrig solve` takes it", column=AXIS)
     ordered, of_time = poses.in_time()
-    return ordered[:], [*warnings, *([of_time] if of_time else [])]
+    return ordered[:], [*warnings, *of_time]
 
 
 def _one(column: Texts, name: str) -> str:
@@ -376,7 +347,7 @@ def _degrees(angle: float | None) -> str:
     return "no stated angle" if angle is None else f"{angle:g}°"
 
 
-def read_mounted(data: bytes, source: str, unit: str | None = None) -> tuple[list[MountedPoses], list[str]]:
+def read_mounted(data: bytes, source: str, unit: str | None) -> tuple[list[MountedPoses], list[str]]:
     """The poses of a file, a lot for each clamping.
 
     `source` is what the file is called, `unit` the serial number of its poses where it has no column `unit`.
@@ -384,17 +355,16 @@ def read_mounted(data: bytes, source: str, unit: str | None = None) -> tuple[lis
     Raises:
         CsvError: the file is no table of poses, or does not say of every pose whose it is.
     """
-    poses, labels, warnings = read_labelled_poses(data, LABELS)
-    return poses_by_mounting(poses, labels, source, unit), warnings
+    poses, texts, warnings = read_labelled_columns(data, LABELS)
+    order, of_time = poses.order_in_time()
+    labels = [{name: cells.texts[k] for name, cells in texts.items() if cells.texts[k]} for k in order]
+    return _by_mounting(poses.in_time()[0][:], labels, source, unit), [*warnings, *of_time]
 
 
-def poses_by_mounting(
-    poses: Sequence[Pose], labels: Sequence[Labels], source: str, unit: str | None = None
+def _by_mounting(
+    poses: Sequence[Pose], labels: Sequence[Labels], source: str, unit: str | None
 ) -> list[MountedPoses]:
-    """Poses of one file or run by their clamping, in the order measured.
-
-    Without a label a mount is called by its source, and its angle where there is one.
-    """
+    """Poses by clamping; without a label a mount is called by its source, and its angle if it has one."""
     lots: dict[tuple[str, str, float | None, str], list[Pose]] = {}
     for pose, texts in zip(poses, labels, strict=True):
         serial, angle = texts.get("unit", unit), pose.covariates.get(MOUNT_DEG)

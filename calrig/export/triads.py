@@ -84,12 +84,9 @@ class Accelerometer:
         """Axes of which something is known."""
         return np.flatnonzero(~np.isnan(self.bias_g)).tolist()
 
-    def true_g(self, raw_g: FloatArray, temperature_c: float | None = None) -> FloatArray:
-        """(3,) of one raw vector; an axis that nothing is known of stays as it is."""
-        warmer = (
-            0.0 if temperature_c is None or self.reference_c is None else temperature_c - self.reference_c
-        )
-        return np.asarray(self.matrix @ (raw_g - np.nan_to_num(self.bias_g) - self.per_c_g * warmer))
+    def true_g(self, raw_g: FloatArray) -> FloatArray:
+        """(3,) of one raw vector at the reference temperature; an axis of which nothing is known stays."""
+        return np.asarray(self.matrix @ (raw_g - np.nan_to_num(self.bias_g)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -75,8 +75,7 @@ def partial_residual(found: PartialResidual, wave: Mapping[str, float] | None = 
     `wave` has `amplitude_deg`, `phase_deg` and `period_deg` of a wave of the angle; the poses of many periods
     are laid over each other in one.
     """
-    layout = layout_of(as_text(_axis(found.covariate)), "partial residual (°)")
-    layout["yaxis"]["zeroline"] = True
+    layout = layout_of(as_text(_axis(found.covariate)), "partial residual (°)", zeroline=True)
     at = found.at
     is_folded = wave is not None and np.ptp(at) > MANY_PERIODS * wave["period_deg"]
     if wave is not None and is_folded:
@@ -139,8 +138,7 @@ def _along(found: DrawnResiduals) -> list[tuple[str, FloatArray, str]]:
 
 
 def _left(at: FloatArray, left_deg: FloatArray, axis: str, colour: str) -> Figure:
-    layout = layout_of(axis, "residual (°)")
-    layout["yaxis"]["zeroline"] = True
+    layout = layout_of(axis, "residual (°)", zeroline=True)
     layout["showlegend"] = False
     marker = {"color": colour, "size": 5, "opacity": 0.7}
     hover = "%{x:.2f}: %{y:.5f}°<extra></extra>"
@@ -176,8 +174,7 @@ def error_map(
     stage_deg: Sequence[float], approach: Sequence[int], error_deg: Sequence[float], std_deg: Sequence[float]
 ) -> Figure:
     """Return the rig error map by angle of the dial, one line an approach, with standard errors."""
-    layout = layout_of("angle of the dial (°)", "elevation less dial (°)")
-    layout["yaxis"]["zeroline"] = True
+    layout = layout_of("angle of the dial (°)", "elevation less dial (°)", zeroline=True)
     data = []
     for sense, (name, symbol, colour) in APPROACHES.items():
         rows = [k for k, a in enumerate(approach) if a == sense]

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from calrig.errors import InputError, WorkError
+from calrig.errors import InputError, WorkError, writable
 from calrig.figures.parts import Figure
 from calrig.settings import packed
 
@@ -60,10 +60,8 @@ def writer_of(file: Path) -> Callable[[str, Rows], None]:
 
     def write(title: str, rows: Rows) -> None:
         content = to_bytes(sheet_of(title, rows))
-        try:
+        with writable(file):
             file.write_bytes(content)
-        except OSError as error:
-            raise WorkError(f"{file}: cannot be written ({error.strerror})") from error
 
     return write
 

@@ -108,8 +108,8 @@ def axis_of(title: str) -> dict[str, Any]:
     }
 
 
-def layout_of(x_title: str, y_title: str) -> dict[str, Any]:
-    """Return the look of a figure with one pair of axes."""
+def layout_of(x_title: str, y_title: str, *, zeroline: bool = False) -> dict[str, Any]:
+    """Return the look of a figure with one pair of axes; `zeroline` is of the y axis."""
     return {
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": GREY},
         "paper_bgcolor": "rgba(0,0,0,0)",
@@ -120,5 +120,5 @@ def layout_of(x_title: str, y_title: str) -> dict[str, Any]:
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
         "uirevision": "kept",  # a zoom outlives the next update
         "xaxis": axis_of(x_title),
-        "yaxis": axis_of(y_title),
+        "yaxis": {**axis_of(y_title), "zeroline": zeroline},
     }

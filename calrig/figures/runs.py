@@ -83,8 +83,7 @@ def residual(
         excluded: indices of poses that are out of the result; drawn as crosses.
         what: the lower half shows, in words.
     """
-    layout = layout_of("elevation (°)", "reading − stage (°)")
-    layout["yaxis"]["zeroline"] = True
+    layout = layout_of("elevation (°)", "reading − stage (°)", zeroline=True)
     layout["legend"]["title"] = {"text": "approach", "side": "left", "font": {"size": 12}}
     raw_deg = [_residual_deg(pose, 0.0, 1.0) for pose in poses]
     data = _residual_traces(poses, raw_deg, 1.0, excluded, "raw")
@@ -105,8 +104,7 @@ def residuals_overlaid(curves: Sequence[Curve], chosen: Collection[str] = ()) ->
 
     Where units are more than colours, those that are not among the `chosen` are grey lines alone.
     """
-    layout = layout_of("elevation (°)", "calibrated residual (°)")
-    layout["yaxis"]["zeroline"] = True
+    layout = layout_of("elevation (°)", "calibrated residual (°)", zeroline=True)
     data: list[dict[str, Any]] = []
     colours = colours_of([curve.name for curve in curves], chosen)
     for k, curve in enumerate(sorted(curves, key=lambda curve: colours[curve.name] != GREY)):

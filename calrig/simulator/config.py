@@ -72,19 +72,11 @@ class MechanicsOptions(Options):
     """A motor angle that the stage cannot pass: it stalls there."""
 
     @model_validator(mode="after")
-    def _worm_never_runs_backwards(self) -> Self:
+    def _is_possible(self) -> Self:
         if abs(self.worm_deg) * 2 * 3.1416 > 0.5 * self.worm_period_deg:
             raise ValueError("worm_deg is so large for its worm_period_deg that the table would turn back")
-        return self
-
-    @model_validator(mode="after")
-    def _vibration_has_a_direction(self) -> Self:
         if not any(self.vibration_direction):
             raise ValueError("vibration_direction is 0, 0, 0")
-        return self
-
-    @model_validator(mode="after")
-    def _table_never_runs_backwards(self) -> Self:
         if sum(abs(wave.amplitude_deg) * wave.order for wave in self.harmonics) * 3.1416 / 180 > 0.5:
             raise ValueError("the harmonics are so large that the table would turn back")
         return self
@@ -284,19 +276,11 @@ class BoardOptions(Options):
     fault: BoardFault | None = None
 
     @model_validator(mode="after")
-    def _default_is_allowed(self) -> Self:
+    def _is_possible(self) -> Self:
         if self.default_rate_hz > self.max_rate_hz:
             raise ValueError("default_rate_hz is above max_rate_hz")
-        return self
-
-    @model_validator(mode="after")
-    def _boots_as_calrigs_own(self) -> Self:
         if self.boot_s and self.sketch is not None:
             raise ValueError(f"boot_s is none of a board that runs {self.sketch}")
-        return self
-
-    @model_validator(mode="after")
-    def _fault_is_of_this_board(self) -> Self:
         if self.fault in (NOT_OF_PACKETS if self.sketch is None else NOT_OF_TEXT):
             raise ValueError(f"fault {self.fault!r} is none of a board that runs {self.sketch or 'calrig'}")
         return self

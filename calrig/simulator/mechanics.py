@@ -195,7 +195,7 @@ class Mechanics:
         for index, (segment, following) in enumerate(pairwise(way)):
             room_deg = outward * (wall_deg - segment.position_deg)
             if outward * (following.position_deg - segment.position_deg) > max(room_deg, 0.0):
-                hit_s = _reach(segment, outward, max(room_deg, 0.0))
+                hit_s = segment.reach_s(outward, max(room_deg, 0.0))
                 return [*way[:index], *([segment] if room_deg > 0 else []), Segment(hit_s, wall_deg)], True
         return way, False
 
@@ -285,10 +285,3 @@ def _pushed(segment: Segment, end_s: float, follower_deg: float, half_deg: float
         return [standing]
     velocity = segment.velocity_dps + segment.acceleration_dps2 * contact_s
     return [standing, Segment(at_contact, follower_deg, velocity, segment.acceleration_dps2)]
-
-
-def _reach(segment: Segment, sense: float, way_deg: float) -> float:
-    """When a segment moving in `sense` has covered `way_deg`."""
-    speed, gain = sense * segment.velocity_dps, sense * segment.acceleration_dps2
-    root = math.sqrt(max(speed**2 + 2 * gain * way_deg, 0.0))
-    return segment.start_s + (2 * way_deg / (speed + root) if way_deg > 0 else 0.0)

@@ -6,12 +6,14 @@ Motion is `mechanics`' business; a dialect says only what its controller says, a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import StageFault, StageOptions
+from calrig.simulator.mechanics import Arrival
 
 GARBLED = bytes(byte ^ 0x15 for byte in range(256))
 """Digits and letters become others and signs, never the end of a line."""
@@ -40,12 +42,28 @@ class Stage(ABC):
         """It is switched off and on, or its Arduino is reset."""
 
     @abstractmethod
+    def _advance(self, now_s: float) -> None:
+        """Live on until an instant."""
+
+    @contextmanager
+    def _at_now(self) -> Iterator[float]:
+        """The instant, up to which it has lived on; the bench is this thread's inside the block."""
+        with self._bench.lock:
+            now_s = self._now()
+            self._advance(now_s)
+            yield now_s
+
+    @abstractmethod
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what goes back."""
 
     def emit(self) -> bytes:
         """What it says unasked: nothing, in most dialects."""
         return b""
+
+    def _search_home(self, now_s: float) -> Arrival:
+        options = self._options
+        return self._bench.mechanics.home(now_s, options.homing_velocity_dps, options.acceleration_dps2)
 
     def _encoder_deg(self, at_s: float, age_s: float = 0.0) -> float:
         return float(self._bench.mechanics.encoder_deg(np.array([at_s]), age_s)[0])

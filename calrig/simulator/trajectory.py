@@ -34,6 +34,12 @@ class Segment(NamedTuple):
         position = self.position_deg + dt * (self.velocity_dps + 0.5 * self.acceleration_dps2 * dt)
         return position, self.velocity_dps + self.acceleration_dps2 * dt
 
+    def reach_s(self, sense: float, way_deg: float) -> float:
+        """When it has covered a way, moving in `sense`."""
+        speed, gain = sense * self.velocity_dps, sense * self.acceleration_dps2
+        root = math.sqrt(max(speed**2 + 2 * gain * way_deg, 0.0))
+        return self.start_s + (2 * way_deg / (speed + root) if way_deg > 0 else 0.0)
+
 
 def trapezoid(
     start_s: float, from_deg: float, to_deg: float, velocity_dps: float, acceleration_dps2: float

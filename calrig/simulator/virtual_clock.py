@@ -1,4 +1,4 @@
-"""Virtual time: a discrete-event scheduler of the threads that live by one clock, and the clock itself.
+"""Virtual time: a clock that is the discrete-event scheduler of the threads that live by it.
 
 The threads (its members) run one at a time, in the order in which what they waited for happened, each until
 it waits again. When all of them wait, time goes to the next instant at which a member continues or a device
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from itertools import count
 from typing import TypeVar
 
+T = TypeVar("T")
 BEGINNING_S = 1000.0
 """Not 0, so that a time of long ago is not taken for now."""
 SHORTEST_REST_S = 0.002
@@ -60,8 +61,8 @@ class Part:
     ident: int
 
 
-class Scheduler:
-    """Time that moves on when everybody waits.
+class VirtualClock:
+    """A clock of `calrig.instruments.clock`, for all threads that live by it: time moves on when all wait.
 
     At most `most_speed` seconds pass for one of the wall's while no visitor waits; None for as many as can be
     computed.
@@ -188,6 +189,38 @@ class Scheduler:
             self._watchers.append((self._n_instants, wait))
         self.rest(wait)
 
+    def sleep(self, duration_s: float) -> None:
+        """Waits."""
+        self.rest(self.register([], duration_s))
+
+    def condition(self) -> VirtualCondition:
+        """To wait for one another."""
+        return VirtualCondition(self)
+
+    def event(self) -> VirtualEvent:
+        """To wait for what happens once."""
+        return VirtualEvent(self)
+
+    def thread(self, target: Callable[[], object], name: str) -> VirtualThread:
+        """A daemon thread, not started yet."""
+        return VirtualThread(self, target, name)
+
+    def until(self, look: Callable[[], T | None], what: str, within_s: float = 600.0) -> T:
+        """Lets time run to the first instant at which there is something to see, and returns that.
+
+        Called by a member, or within `taking_part`, it leaves time standing there.
+
+        Raises:
+            AssertionError: nothing was seen within that time.
+        """
+        give_up_s = self.now_s() + within_s
+        with self.taking_part():
+            while not (found := look()):
+                if self.now_s() > give_up_s:
+                    raise AssertionError(f"no {what} within {within_s:g} s")
+                self.next_instant()
+        return found
+
     def _begin_wait(self, timeout_s: float | None) -> Wait:
         me = threading.get_ident()
         wait = Wait(me, is_member=me in self._members)
@@ -257,45 +290,6 @@ class Scheduler:
         return ahead_s
 
 
-T = TypeVar("T")
-
-
-class VirtualClock(Scheduler):
-    """A clock of `calrig.instruments.clock`, for all threads that live by it."""
-
-    def sleep(self, duration_s: float) -> None:
-        """Waits."""
-        self.rest(self.register([], duration_s))
-
-    def condition(self) -> VirtualCondition:
-        """To wait for one another."""
-        return VirtualCondition(self)
-
-    def event(self) -> VirtualEvent:
-        """To wait for what happens once."""
-        return VirtualEvent(self)
-
-    def thread(self, target: Callable[[], object], name: str) -> VirtualThread:
-        """A daemon thread, not started yet."""
-        return VirtualThread(self, target, name)
-
-    def until(self, look: Callable[[], T | None], what: str, within_s: float = 600.0) -> T:
-        """Lets time run to the first instant at which there is something to see, and returns that.
-
-        Called by a member, or within `taking_part`, it leaves time standing there.
-
-        Raises:
-            AssertionError: nothing was seen within that time.
-        """
-        give_up_s = self.now_s() + within_s
-        with self.taking_part():
-            while not (found := look()):
-                if self.now_s() > give_up_s:
-                    raise AssertionError(f"no {what} within {within_s:g} s")
-                self.next_instant()
-        return found
-
-
 class VirtualCondition:
     """As `threading.Condition`, its time-outs counted by the clock."""
 
@@ -334,7 +328,6 @@ class VirtualEvent:
 
     def __init__(self, clock: VirtualClock) -> None:
         self._condition = VirtualCondition(clock)
-        self._clock = clock
         self._is_set = False
 
     def is_set(self) -> bool:

@@ -10,6 +10,7 @@ import os
 import selectors
 import socket
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Literal, Protocol
 
@@ -25,26 +26,10 @@ READ_SIZE = 4096
 LOOPBACK = "127.0.0.1"
 
 
-class Port(Protocol):
+class Port(ABC):
     """One end of a wire. `url` is what the other end opens."""
 
     url: str
-
-    def wait(self, timeout_s: float | None) -> bytes:
-        """What came, waiting for it at most so long; returns early, with nothing, when woken."""
-
-    def write(self, data: bytes) -> int:
-        """Hands over as much as is taken without waiting; returns how much that was."""
-
-    def wake(self) -> None:
-        """Ends a `wait` from another thread."""
-
-    def close(self) -> None:
-        """Closes the port."""
-
-
-class _Wakeable:
-    """A selector that another thread can wake."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
@@ -59,16 +44,26 @@ class _Wakeable:
             ready.remove(self._ear)
         return list(ready)
 
+    @abstractmethod
+    def wait(self, timeout_s: float | None) -> bytes:
+        """What came, waiting for it at most so long; returns early, with nothing, when woken."""
+
+    @abstractmethod
+    def write(self, data: bytes) -> int:
+        """Hands over as much as is taken without waiting; returns how much that was."""
+
     def wake(self) -> None:
+        """Ends a `wait` from another thread."""
         self._mouth.send(b"!")
 
     def close(self) -> None:
+        """Closes the port."""
         self._selector.close()
         self._ear.close()
         self._mouth.close()
 
 
-class PtyPort(_Wakeable):
+class PtyPort(Port):
     """A pseudo-terminal in raw mode.
 
     Its far end is kept open here too: a client that closes then leaves no error behind, and what it set on
@@ -101,7 +96,7 @@ class PtyPort(_Wakeable):
         os.close(self._far)
 
 
-class TcpPort(_Wakeable):
+class TcpPort(Port):
     """A TCP port on this machine, for pyserial's `socket://`. A new client takes the place of the last.
 
     `opened` is called whenever one comes, in the thread that waits.
@@ -203,7 +198,7 @@ class Device(Protocol):
 
 
 class Wire:
-    """A device on a port, from `start` until `stop`."""
+    """A device on a port, from `start` until `stop`; `url` is what a client opens."""
 
     def __init__(
         self, device: Device, port: Port, name: str, most_waiting_bytes: int = MOST_WAITING_BYTES
@@ -211,14 +206,10 @@ class Wire:
         self._device = device
         self._most_waiting_bytes = most_waiting_bytes
         self._port = port
+        self.url = port.url
         self._waiting = b""
         self._stopping = False
         self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
-
-    @property
-    def url(self) -> str:
-        """What a client opens."""
-        return self._port.url
 
     def start(self) -> None:
         """Begins to listen."""

@@ -10,7 +10,7 @@ import pytest
 from support import QUICK, declared, ended, running_service, serving
 
 from calrig.analysis import comparison
-from calrig.api import compare
+from calrig.api import units
 
 POSES = """\
 target_deg,reading_deg,pass,approach,time_s,supply_v
@@ -214,7 +214,7 @@ def test_many_units_are_compared_by_another_process(measured, monkeypatch):
         "/api/compare/figures/residuals",
     ]
     here = [client.get(path).raise_for_status().json() for path in paths]
-    monkeypatch.setattr(compare, "FEW_UNITS", 0)
+    monkeypatch.setattr(units, "FEW_UNITS", 0)
     monkeypatch.setattr(comparison, "compared_runs", None)  # of the service's own process
     assert [client.get(path).raise_for_status().json() for path in paths] == here
     assert client.get("/api/compare?unit=nobody").status_code == 404

@@ -219,7 +219,7 @@ def test_a_line_that_is_cut_anywhere_loses_and_doubles_nothing(service, monkeypa
         followed = calrig.Client(url)
         path = f"/api/runs/{run.id}"
         away = []
-        assert list(events.run_events(followed, run.id, away=away.append)) == whole
+        assert list(events.Run(followed, run.record).events(away=away.append)) == whole
         assert "does not answer" in str(away[0])
         assert pieces == [], "every cut was made"
         assert followed.get(path)["status"] == "completed"
@@ -227,7 +227,7 @@ def test_a_line_that_is_cut_anywhere_loses_and_doubles_nothing(service, monkeypa
 
 def test_a_run_that_is_not_there_is_said_at_once(service):
     with pytest.raises(Refused, match="there is no run 99"):
-        next(events.run_events(service, "99"))
+        next(events.Run(service, RunRecord.model_construct(id="99", unit="")).events())
 
 
 def test_fields_of_events_are_read_as_the_standard_has_them():

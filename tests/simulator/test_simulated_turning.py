@@ -11,7 +11,7 @@ from support import PATIENCE_S
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.stages.grbl.uart import BYTE_S
+from calrig.simulator.stages.grbl.firmware import BYTE_S
 from calrig.simulator.virtual_clock import VirtualClock
 
 AX, AY, AZ, TEMP, GX, GY, GZ = range(7)

@@ -92,7 +92,7 @@ class Measured:
             steps.append(_step("Plain fit of bias and scale", plain.left_deg(theta, reading)))
         for k, (name, _) in enumerate(effects, 1):
             is_last = k == len(effects) or is_solved
-            left = self._by(self.document, effects[:k]) if is_last else self._by_own_line(effects[:k])
+            left = self._by(self.document if is_last else None, effects[:k])
             steps.append(_step(f"… and {effect_of(name).title.lower()}", left))
         of_run = " of one run of the joint solution" if is_solved else ""
         return Residuals(
@@ -131,18 +131,14 @@ class Measured:
                 return left_deg
         raise AssertionError("a line can always be applied")
 
-    def _by_own_line(self, effects: Sequence[AppliedEffect]) -> FloatArray | None:
-        """With bias and scale fitted beside these effects."""
-        theta, reading = angles_deg(self.poses)
+    def _by(self, document: Document | None, effects: Sequence[AppliedEffect]) -> FloatArray | None:
+        """By a document's bias and scale or, without it, those fitted beside these effects."""
         try:
-            line = fit_line_with_effects(theta, reading, effects, circumstances(self.poses))
+            if document is not None:
+                line = line_of(document)
+            else:
+                line = fit_line_with_effects(*angles_deg(self.poses), effects, circumstances(self.poses))
             return corrected_residuals_deg(self.poses, line, effects)
-        except ApplyError:
-            return None
-
-    def _by(self, document: Document, effects: Sequence[AppliedEffect]) -> FloatArray | None:
-        try:
-            return corrected_residuals_deg(self.poses, line_of(document), effects)
         except ApplyError:
             return None
 
@@ -284,16 +280,11 @@ def stated_reference(document: Document) -> Reference | None:
     return reference_of(document["provenance"])
 
 
-def overdue(stated: Document, measured_at: datetime | None) -> bool | None:
-    """Whether a standard's due date had passed when it was used; None where no date is stated."""
-    due = _day(stated.get("due"))
-    return None if due is None or measured_at is None else measured_at.date() > due
-
-
 def _standard(
     key: str, role: str, rig: Document, provenance: Document, measured_at: datetime | None
 ) -> Standard:
     stated = rig.get(key) or {}
+    due = _day(stated.get("due"))
     return Standard(
         role=role,
         what=stated.get("name") or WITHOUT.get(key) or _stage(provenance),
@@ -303,8 +294,8 @@ def _standard(
         sha256=stated.get("sha256"),
         issued_by=stated.get("issued_by"),
         issued_on=_day(stated.get("issued_at")),
-        due=_day(stated.get("due")),
-        overdue=overdue(stated, measured_at),
+        due=due,
+        overdue=None if due is None or measured_at is None else measured_at.date() > due,
     )
 
 

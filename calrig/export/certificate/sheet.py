@@ -67,16 +67,6 @@ def paragraphs(lines: Iterable[str]) -> Block:
     return Block("paragraphs", lines=tuple(lines))
 
 
-def figure(line: str) -> Block:
-    """The statement that the page is for."""
-    return Block("figure", lines=(line,))
-
-
-def picture(seen: str) -> Block:
-    """The picture of the residuals, with what it shows in words."""
-    return Block("picture", lines=(seen,))
-
-
 def stated(value: str | None) -> str:
     """What is said, or that nothing is."""
     return value or NOT_STATED
@@ -90,7 +80,7 @@ def degrees(value: float) -> str:
 def results(said: Certificate) -> tuple[Block, ...]:
     """U, bias and scale, the effects in words, RMS errors."""
     found = said.results
-    blocks = [figure(_elevation(said))]
+    blocks = [Block("figure", lines=(_elevation(said),))]
     if found.line:
         columns = ("Result", "Value", "Expanded uncertainty U", "k")
         blocks.append(table(columns, [_line(one) for one in found.line], (False, True, True, True)))
@@ -292,7 +282,7 @@ def sheet_of(said: Certificate) -> Sheet:
             Section("Results", results(said)),
             Section("Conformity", conformity(said)),
             Section("Errors as found and as left", points(said)),
-            Section("What is left, step by step", (picture(_seen(said)),)),
+            Section("What is left, step by step", (Block("picture", lines=(_seen(said),)),)),
             Section("Measurement uncertainty", budget(said)),
             Section("Method and conditions", _method(said)),
             Section("Traceability", tuple(_traceability(said))),

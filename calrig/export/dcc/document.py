@@ -13,7 +13,6 @@ from calrig.export.dcc.elements import (
     SI,
     administrative_data,
     dcc,
-    listed,
     plain,
     quantity,
     real_list,
@@ -172,7 +171,7 @@ def _effect(effect: EffectFound, ref_type: str) -> ET.Element:
         "result",
         words("name", effect.title),
         words("description", f"Origin: {effect.origin}"),
-        dcc("data", formula, listed("list", figures)),
+        dcc("data", formula, dcc("list", *figures) if figures else None),
         refType=f"{ref_type} calrig_{effect.name}",
     )
 

@@ -78,11 +78,6 @@ def words_if(tag: str, *texts: object) -> ET.Element | None:
     return words(tag, *said) if said else None
 
 
-def listed(tag: str, entries: Sequence[ET.Element]) -> ET.Element | None:
-    """A list of elements, which may not be empty: None then."""
-    return dcc(tag, *entries) if entries else None
-
-
 def rows(said: Sequence[Row]) -> list[str]:
     """Rows of a table as sentences."""
     return [f"{name}: {value}" for name, value in said]

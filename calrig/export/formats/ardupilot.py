@@ -30,15 +30,7 @@ def ardupilot(document: Mapping[str, Any]) -> str:
         NotHeldError: they hold nothing of it.
     """
     held = parameters_of(document, DRIVER_AXES, "ardupilot")
-    rows: list[tuple[str, float]] = []
-    for axis, offset, scale in zip("XYZ", held.offset_mps2, held.scale, strict=True):
-        if not np.isnan(offset):
-            rows += [(f"INS_ACCOFFS_{axis}", offset), (f"INS_ACCSCAL_{axis}", scale)]
-    rows += [
-        (f"INS_GYROFFS_{axis}", offset)
-        for axis, offset in zip("XYZ", held.gyro_offset_rps, strict=True)
-        if not np.isnan(offset)
-    ]
+    rows = held.rows("INS_ACCOFFS_{}", "INS_ACCSCAL_{}", "INS_GYROFFS_{}")
     notes = list(held.notes)
     if not np.isnan(held.gyro_offset_rps).all():
         notes.append("gyro offsets are measured anew at every start unless INS_GYR_CAL is 0")
@@ -56,8 +48,7 @@ def ardupilot(document: Mapping[str, Any]) -> str:
         "board's definition (hwdef); another rotation there turns these parameters with it",
         "accelerometer corrected = (raw - thermal - ACCOFFS)*ACCSCAL; gyro corrected = raw - GYROFFS",
         *notes,
-        *held.accelerometer_test(),
-        *held.gyro_test(),
+        *held.tests(),
     ]
     return "\n".join([*comments(said), *(f"{name},{value:.9g}" for name, value in rows), ""])
 

@@ -21,6 +21,8 @@ from calrig.export.triads import comments, origin_of
 
 DRIVER_AXES = np.diag([1.0, -1.0, -1.0])
 INT32, REAL32 = 6, 9
+SWITCH = "TC_A_ENABLE"
+"""The only one that is a whole number."""
 
 
 def px4(document: Mapping[str, Any]) -> str:
@@ -30,23 +32,15 @@ def px4(document: Mapping[str, Any]) -> str:
         NotHeldError: they hold nothing of it.
     """
     held = parameters_of(document, DRIVER_AXES, "px4")
-    rows: list[tuple[str, float, int]] = []
-    for axis, offset, scale in zip("XYZ", held.offset_mps2, held.scale, strict=True):
-        if not np.isnan(offset):
-            rows += [(f"CAL_ACC0_{axis}OFF", offset, REAL32), (f"CAL_ACC0_{axis}SCALE", scale, REAL32)]
-    rows += [
-        (f"CAL_GYRO0_{axis}OFF", offset, REAL32)
-        for axis, offset in zip("XYZ", held.gyro_offset_rps, strict=True)
-        if not np.isnan(offset)
-    ]
+    rows = held.rows("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE", "CAL_GYRO0_{}OFF")
     notes = list(held.notes)
     if held.reference_c is not None:
         coldest, warmest = held.temperatures_c
         ends = (("TREF", held.reference_c), ("TMIN", coldest), ("TMAX", warmest))
-        rows += [("TC_A_ENABLE", 1, INT32), *((f"TC_A0_{name}", value, REAL32) for name, value in ends)]
+        rows += [(SWITCH, 1), *((f"TC_A0_{name}", value) for name, value in ends)]
         for order in (3, 2, 1, 0):
             for place, per_c in enumerate(held.per_c_mps2.tolist()):
-                rows.append((f"TC_A0_X{order}_{place}", per_c if order == 1 else 0.0, REAL32))
+                rows.append((f"TC_A0_X{order}_{place}", per_c if order == 1 else 0.0))
         notes.append(
             "set TC_A0_ID to the vehicle's CAL_ACC0_ID and restart: TC_* are for the sensor of that ID"
         )
@@ -56,13 +50,14 @@ def px4(document: Mapping[str, Any]) -> str:
         "axes: x, -y, -z of the chip, as drivers of InvenSense chips hand them on (driver option -R 0)",
         "accelerometer corrected = (raw - thermal - OFF)*SCALE; gyro corrected = raw - OFF",
         *notes,
-        *held.accelerometer_test(),
-        *held.gyro_test(),
+        *held.tests(),
     ]
     head = comments(
         ["Onboard parameters for Vehicle 1", "", *said, "", "Vehicle-Id Component-Id Name Value Type"]
     )
-    return "\n".join([*head, *(f"1\t1\t{name}\t{value:.9g}\t{kind}" for name, value, kind in rows), ""])
+    kinds = (INT32 if name == SWITCH else REAL32 for name, _ in rows)
+    lines = (f"1\t1\t{name}\t{value:.9g}\t{kind}" for (name, value), kind in zip(rows, kinds, strict=True))
+    return "\n".join([*head, *lines, ""])
 
 
 EXPORTER = CalibrationExporter(

@@ -80,9 +80,7 @@ class Esp301(LineStage):
 
     def reset(self) -> None:
         """It is switched off and on: it counts from here, wherever here is, and does not say so."""
-        with self._bench.lock:
-            now_s = self._now()
-            self._advance(now_s)
+        with self._at_now() as now_s:
             self._halt(now_s)
             self._tail, self._ends, self._motor_is_on = b"", None, True
             self._errors.clear()
@@ -91,9 +89,7 @@ class Esp301(LineStage):
 
     def _replies(self, line: bytes) -> list[str]:
         parts = line.decode("ascii", "replace").split(";")
-        with self._bench.lock:
-            now_s = self._now()
-            self._advance(now_s)
+        with self._at_now() as now_s:
             replies = [self._answer(part.strip(), now_s) for part in parts]
         return [reply for reply in replies if reply is not None]
 
@@ -151,9 +147,7 @@ class Esp301(LineStage):
     def _home(self, now_s: float) -> None:
         if not self._motor_is_on:
             raise self._axis_error(MOTOR_OFF)
-        arrival = self._bench.mechanics.home(
-            now_s, self._options.homing_velocity_dps, self._options.acceleration_dps2
-        )
+        arrival = self._search_home(now_s)
         self._setpoint_deg = self._zero_deg = 0.0
         self._ends = arrival.at_s, HOMING_ABORTED if arrival.stalled else 0
 

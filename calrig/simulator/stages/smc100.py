@@ -116,15 +116,13 @@ class Smc100(LineStage):
     @property
     def state(self) -> State:
         """The state the controller is in now."""
-        with self._bench.lock:
-            self._advance(self._now())
+        with self._at_now():
             return self._state
 
     def reset(self) -> None:
         """It is switched off and on."""
-        with self._bench.lock:
-            self._advance(self._now())
-            self._reset(self._now())
+        with self._at_now() as now_s:
+            self._reset(now_s)
 
     def _replies(self, line: bytes) -> list[str]:
         try:
@@ -146,9 +144,7 @@ class Smc100(LineStage):
         handler = self._handlers.get(code)
         if handler is None:
             raise _Refused("A")
-        with self._bench.lock:
-            now_s = self._now()
-            self._advance(now_s)
+        with self._at_now() as now_s:
             value = handler(now_s, parameter)
         asked = parameter.removesuffix("?") if code == "TB" else ""
         return None if value is None else f"{self._options.axis}{code}{asked}{value}"
@@ -178,9 +174,7 @@ class Smc100(LineStage):
 
     def _home(self, now_s: float, _: str) -> None:
         self._only_in(NOT_REFERENCED)
-        arrival = self._bench.mechanics.home(
-            now_s, self._options.homing_velocity_dps, self._options.acceleration_dps2
-        )
+        arrival = self._search_home(now_s)
         self._state, self._errors, self._setpoint_deg = State.HOMING, 0, 0.0
         self._ahead = (
             _Ahead(arrival.at_s, State.NOT_REFERENCED_FROM_HOMING, FOLLOWING_ERROR | HOMING_TIME_OUT)

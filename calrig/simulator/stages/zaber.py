@@ -48,9 +48,7 @@ class Zaber(LineStage):
 
     def reset(self) -> None:
         """It is switched off and on."""
-        with self._bench.lock:
-            now_s = self._now()
-            self._advance(now_s)
+        with self._at_now() as now_s:
             self._stop(now_s)
             self._tail, self._ends, self._homing, self._referenced = b"", None, False, False
             self._flags.clear()
@@ -68,9 +66,7 @@ class Zaber(LineStage):
         damaged = checksum is not None and _checksum(body) != checksum
         if damaged or int(device or 0) not in (0, self._options.axis):
             return ""
-        with self._bench.lock:
-            now_s = self._now()
-            self._advance(now_s)
+        with self._at_now() as now_s:
             flag, data = "OK", "0"
             try:
                 data = self._obey(command.split(), now_s)
@@ -122,9 +118,7 @@ class Zaber(LineStage):
         self._ends = arrival.at_s, "FS" if arrival.stalled else ""
 
     def _home(self, now_s: float) -> None:
-        arrival = self._bench.mechanics.home(
-            now_s, self._options.homing_velocity_dps, self._options.acceleration_dps2
-        )
+        arrival = self._search_home(now_s)
         self._homing, self._referenced = True, False
         self._ends = arrival.at_s, "FS" if arrival.stalled else ""
 

@@ -59,24 +59,19 @@ class Grbl(Stage):
     @property
     def state(self) -> State:
         """The state it is in now."""
-        with self._bench.lock:
-            self._firmware.run(self._now())
+        with self._at_now():
             return self._firmware.state
 
     def reset(self) -> None:
         """The reset line is pulled, as by opening its port: it counts from 0 at any position."""
-        with self._bench.lock:
-            now_s = self._now()
-            self._firmware.run(now_s)
+        with self._at_now() as now_s:
             self.stop_motor(now_s)
             self._firmware.switch_on(now_s, self._options.boot_s)
             self._firmware.run(now_s)
 
     def set_limit_switch(self, *, closed: bool) -> None:
         """A limit switch of the turning axis closes or opens; with hard limits on, either is an alarm."""
-        with self._bench.lock:
-            now_s = self._now()
-            self._firmware.run(now_s)
+        with self._at_now() as now_s:
             self._firmware.change_switch(now_s, closed=closed)
             self._firmware.run(now_s)
 
@@ -89,20 +84,16 @@ class Grbl(Stage):
         """Takes what came over the wire; returns what has gone back by now."""
         if self.fault == "hang":
             return b""
-        with self._bench.lock:
+        with self._at_now() as now_s:
             if self.fault == "echo":
                 self._echoed += data
-            now_s = self._now()
-            self._firmware.run(now_s)
             heard_s = self._firmware.uart.feed(now_s, data)
             self._firmware.run(max(now_s, heard_s + AHEAD_S))
         return self.emit()
 
     def emit(self) -> bytes:
         """What has gone out: answers, and what it says unasked."""
-        with self._bench.lock:
-            now_s = self._now()
-            self._firmware.run(now_s)
+        with self._at_now() as now_s:
             said, self._echoed = self._echoed + self._firmware.uart.said(now_s), b""
         if self.fault == "garbage":
             return b"\r\n".join(line.translate(GARBLED) for line in said.split(b"\r\n"))
@@ -134,6 +125,9 @@ class Grbl(Stage):
         motor_deg = float(self._bench.mechanics.motor(np.array([at_s])).angle_deg[0])
         switch_deg = self._options.switch_deg + self._bench.mechanics.draw_homing_error_deg()
         return (side * (switch_deg - motor_deg)) % 360.0 / self._degrees_per_unit()
+
+    def _advance(self, now_s: float) -> None:
+        self._firmware.run(now_s)
 
     def _degrees_per_unit(self) -> float:
         return self._firmware.eeprom.values[STEPS + self._index] / self._steps_per_deg

@@ -77,7 +77,7 @@ class Commands:
         if self._resets_after_answer:
             self._firmware.reset_now()
         if self._sleeps_after_answer:
-            self._firmware.sleep()
+            self._firmware.flags.add("sleep")
         self._resets_after_answer = self._sleeps_after_answer = False
 
     def g_code(self, line: str, *, is_jog: bool = False) -> Run:
@@ -333,7 +333,7 @@ class Commands:
             if firmware.is_aborted:
                 return
         firmware.reset_now()
-        firmware.raise_alarm(SOFT_LIMIT)
+        firmware.alarm = SOFT_LIMIT
         yield from firmware.realtime()
 
     def _flow(self, flow: int) -> Run:
@@ -343,7 +343,7 @@ class Commands:
             return
         if flow == 0:
             if firmware.state != State.CHECK:
-                firmware.hold()
+                firmware.flags.add("hold")
                 yield from firmware.realtime()
             return
         state = firmware.parser
@@ -373,11 +373,11 @@ class Commands:
             cycle = HomingCycle(eeprom, begin_s, distances, firmware.closed)
         yield from firmware.until_reset_or(cycle.ends_s)
         alarm = cycle.alarm
-        if firmware.took_door() or firmware.is_reset():
-            alarm = DOOR_IN_HOMING if firmware.took_door() else RESET_IN_HOMING
+        if firmware.flags & {"door", "reset"}:
+            alarm = DOOR_IN_HOMING if "door" in firmware.flags else RESET_IN_HOMING
         firmware.motion.set_places(firmware.begin_s(), cycle.places(firmware.at_s))
         if alarm is not None:
-            firmware.raise_alarm(alarm)
+            firmware.alarm = alarm
             firmware.reset_now()
         yield from firmware.realtime()
         if firmware.is_aborted:
@@ -509,8 +509,6 @@ def _cut(way: list[Segment], side: float, distance: float) -> list[Segment]:
         if following is None or side * following.position_deg < distance:
             cut.append(segment)
             continue
-        speed, gain = side * segment.velocity_dps, side * segment.acceleration_dps2
-        root = math.sqrt(max(speed**2 + 2 * gain * left, 0.0))
-        hit_s = segment.start_s + (2 * left / (speed + root) if left > 0 else 0.0)
+        hit_s = segment.reach_s(side, left)
         return [*cut, *([segment] if left > 0 else []), Segment(hit_s, side * distance)]
     return cut

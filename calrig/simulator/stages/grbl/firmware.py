@@ -7,6 +7,7 @@ when a byte has come. What acts at once only sets a flag; the loop looks at the 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Generator
 from typing import Protocol
 
@@ -26,7 +27,6 @@ from calrig.simulator.stages.grbl.reports import (
     Status,
     Words,
 )
-from calrig.simulator.stages.grbl.uart import MOST_WAITING, Uart
 from calrig.simulator.trajectory import Segment
 
 Run = Generator[float, None, None]
@@ -49,6 +49,69 @@ RAPID_SHARES = {0x95: 100, 0x96: 50, 0x97: 25}
 SPINDLE_STEPS = {0x9A: 10, 0x9B: -10, 0x9C: 1, 0x9D: -1}
 FEED_RESET, SPINDLE_RESET = 0x90, 0x99
 LEAST_SHARE, MOST_SHARE = 10, 200
+
+
+BYTE_S = 10 / 115200
+MOST_WAITING = 128
+MOST_SENDING = 104
+"""What the send buffer holds; the firmware waits while it is full."""
+
+
+class Uart:
+    """The serial line, in the controller's time: bytes come and go at its rate (serial.c).
+
+    Attributes:
+        waiting: what has come and was not read yet; what comes while it is full is lost.
+    """
+
+    def __init__(self) -> None:
+        self.waiting: deque[int] = deque()
+        self._coming: deque[tuple[float, int]] = deque()
+        self._going: deque[tuple[float, bytes]] = deque()
+        self._heard_s = self._said_s = 0.0
+
+    def feed(self, at_s: float, data: bytes) -> float:
+        """Take bytes from the host; return when the last one will have come."""
+        self._heard_s = max(self._heard_s, at_s)
+        for byte in data:
+            self._heard_s += BYTE_S
+            self._coming.append((self._heard_s, byte))
+        return self._heard_s
+
+    @property
+    def next_s(self) -> float:
+        """When the next byte comes; infinite where none is on its way."""
+        return self._coming[0][0] if self._coming else math.inf
+
+    def take(self, at_s: float) -> bytes:
+        """What has come by now, for the receive interrupt."""
+        came = bytearray()
+        while self._coming and self._coming[0][0] <= at_s:
+            came.append(self._coming.popleft()[1])
+        return bytes(came)
+
+    def keep(self, byte: int) -> None:
+        """Put a byte among those that wait."""
+        if len(self.waiting) < MOST_WAITING:
+            self.waiting.append(byte)
+
+    def say(self, at_s: float, data: bytes) -> float:
+        """Begin to send; return when there is room in the send buffer again."""
+        self._said_s = max(self._said_s, at_s) + len(data) * BYTE_S
+        self._going.append((self._said_s, data))
+        return self._said_s - MOST_SENDING * BYTE_S
+
+    def said(self, at_s: float) -> bytes:
+        """What has gone out by now."""
+        gone = bytearray()
+        while self._going and self._going[0][0] <= at_s:
+            gone += self._going.popleft()[1]
+        return bytes(gone)
+
+    @property
+    def is_sending(self) -> bool:
+        """Whether something is still to go out."""
+        return bool(self._going)
 
 
 class LineBuffer:
@@ -103,9 +166,17 @@ class Firmware:
     Attributes:
         at_s: the time that it lives in.
         state: as a report names it.
+        flags: what was asked for at once, acted on at the next look at them.
+        alarm: reported then; None where there is none.
         is_aborted: a reset was taken; the main loop ends and begins again.
         closed: axes whose switch is held closed.
     """
+
+    flags: set[str]
+    alarm: int | None
+    counters: Counters
+    shares: list[int]
+    parser: ParserState
 
     def __init__(self, options: StageOptions, index: int, motor: Motor) -> None:
         version = options.firmware or "1.1h"
@@ -128,16 +199,10 @@ class Firmware:
         self.at_s = at_s
         self._boots_until_s = at_s + boot_s
         self._last_heard: int | None = None
-        self.motion = Motion(self.eeprom, self._drive, self.index)
-        self.parser = ParserState(self.eeprom.n_axes)
+        self.motion = Motion(self.eeprom, self.motor.drive, self.index)
         self.state = State.ALARM if self.eeprom.flag(HOMING) else State.IDLE
-        self.is_aborted = False
-        self._flags: set[str] = set()
-        self._alarm: int | None = None
         self._frozen_s = -math.inf
-        self._clear_suspend()
-        self.counters = Counters()
-        self.shares = [100, 100, 100]
+        self._begin_anew()
         self._commands = Commands(self)
         self._program = self._main()
         self._wake_s = self._boots_until_s
@@ -167,9 +232,9 @@ class Firmware:
         self.closed = {self.index} if closed else set()
         if was == closed or not self.eeprom.flag(HARD_LIMITS) or self.at_s < self._boots_until_s:
             return
-        if self.state not in (State.ALARM, State.HOME) and self._alarm is None:
+        if self.state not in (State.ALARM, State.HOME) and self.alarm is None:
             self.reset_now()
-            self._alarm = HARD_LIMIT
+            self.alarm = HARD_LIMIT
             self._wake_s = self.at_s
 
     # What it says
@@ -192,7 +257,7 @@ class Firmware:
             if self._hold_done and self.state in (State.DOOR, State.SLEEP):
                 if not self._retracted:
                     self._retracted, self._closes_s = True, self.at_s + CLOSING_S
-                    self._set_accessories(5, 9)
+                    self.accessories = 5, 9
                     self.counters.overrides = 0
                     if self.state == State.SLEEP:
                         self.remark("Sleeping")
@@ -230,7 +295,7 @@ class Firmware:
 
     def until_reset_or(self, until_s: float) -> Run:
         """Wait for an instant, or for a reset or a door, deaf to all else (homing)."""
-        while self.at_s < until_s and not self._flags & {"reset", "door"}:
+        while self.at_s < until_s and not self.flags & {"reset", "door"}:
             yield until_s
 
     def idle_delay_s(self) -> float:
@@ -247,42 +312,22 @@ class Firmware:
     def cycle_start(self) -> None:
         """Have the lines that wait begun at the next look at the flags."""
         if not self.motion.is_empty:
-            self._flags.add("resume")
-
-    def hold(self) -> None:
-        """As `!` does (M0)."""
-        self._flags.add("hold")
-
-    def raise_alarm(self, alarm: int) -> None:
-        """Have an alarm reported at the next check of the flags."""
-        self._alarm = alarm
+            self.flags.add("resume")
 
     def reset_now(self) -> None:
         """Take a reset: motors that move are stopped dead, which is an alarm of its own."""
-        if "reset" in self._flags:
+        if "reset" in self.flags:
             return
-        self._flags.add("reset")
-        self._set_accessories(5, 9)
+        self.flags.add("reset")
+        self.accessories = 5, 9
         if self.state in (State.RUN, State.JOG, State.HOME) or self._braking:
             if self.state == State.HOME:
-                self._alarm = self._alarm or RESET_IN_HOMING
+                self.alarm = self.alarm or RESET_IN_HOMING
             else:
-                self._alarm = RESET_IN_MOTION
+                self.alarm = RESET_IN_MOTION
                 self._frozen_s = max(self._frozen_s, self.at_s + self.idle_delay_s())
                 self.motion.stop(self.begin_s())
             self.motor.stop_motor(self.begin_s())
-
-    def took_door(self) -> bool:
-        """Whether a door was opened (in homing)."""
-        return "door" in self._flags
-
-    def is_reset(self) -> bool:
-        """Whether a reset waits to be taken."""
-        return "reset" in self._flags
-
-    def sleep(self) -> None:
-        """Go to sleep at the next look at the flags."""
-        self._flags.add("sleep")
 
     def moves(self) -> bool:
         """Whether a motion is under way that a new line joins."""
@@ -292,12 +337,9 @@ class Firmware:
         """Come to rest on the way, permanently (soft limits)."""
         self.motion.brake(self.begin_s())
         self.state, self._braking = State.HOLD, True
-        while self.at_s < self._stops_s() and "reset" not in self._flags:
+        while self.at_s < self._stops_s() and "reset" not in self.flags:
             yield self._stops_s()
         self._braking, self.state = False, State.IDLE
-
-    def _drive(self, way: list[Segment]) -> None:
-        self.motor.drive(way)
 
     def _interrupt(self, byte: int) -> None:
         """Take a byte that has come: some act at once, others wait to be read, the rest is dropped."""
@@ -305,7 +347,7 @@ class Firmware:
             self.reset_now()
         elif byte in FLAGS and (byte < MOST_WAITING or not self.is_old):
             if byte != JOG_CANCEL or self.state == State.JOG:
-                self._flags.add(FLAGS[byte])
+                self.flags.add(FLAGS[byte])
         elif byte < MOST_WAITING or self.is_old:
             self.uart.keep(byte)
         else:
@@ -328,20 +370,11 @@ class Firmware:
         if self.state in (State.RUN, State.JOG) and not self._braking:
             self.motion.begin(self.begin_s())
 
-    def _set_accessories(self, spindle: int, coolant: int) -> None:
-        self.accessories = (spindle, coolant)
-
     def _clear_suspend(self) -> None:
         self._suspended = self._hold_done = self._braking = False
         self._cancelling = self._ajar = False
         self._retracted = False
         self._closes_s = math.inf
-        self._set_accessories(5, 9)
-
-    def _end_suspend(self) -> None:
-        accessories = self.accessories
-        self._clear_suspend()
-        self.accessories = accessories
 
     def _next_s(self) -> float:
         """When the motion that is under way ends, or a door is found closed."""
@@ -357,18 +390,18 @@ class Firmware:
 
     def _look(self) -> Run:
         """Act on alarm and flags, in the firmware's order."""
-        if self._alarm is not None:
+        if self.alarm is not None:
             yield from self._tell_alarm()
-        if "reset" in self._flags:
+        if "reset" in self.flags:
             self.is_aborted = True
             return
         moves = self.state in (State.RUN, State.JOG) or self._braking
         stopped = moves and self.at_s >= self._stops_s()
-        flags, self._flags = self._flags, set()
+        flags, self.flags = self.flags, set()
         if "report" in flags:
             self._report()
             yield from self.delay(REPORT_S)
-            self._flags.discard("report")
+            self.flags.discard("report")
         if flags & {"hold", "door", "sleep", "cancel"}:
             self._begin_hold(flags)
         if "resume" in flags and not flags & {"hold", "door", "cancel"}:
@@ -377,16 +410,16 @@ class Firmware:
             self._stopped()
 
     def _tell_alarm(self) -> Run:
-        alarm = self._alarm or 0
+        alarm = self.alarm or 0
         self.state = State.ALARM
         self.say(self.words.alarm(alarm))
         yield from self.delay(ALARM_S)
         if alarm in (HARD_LIMIT, SOFT_LIMIT):
             self.remark("Reset to continue")
-            self._flags.discard("reset")
-            while "reset" not in self._flags:
+            self.flags.discard("reset")
+            while "reset" not in self.flags:
                 yield math.inf
-        self._alarm = None
+        self.alarm = None
 
     def _begin_hold(self, flags: set[str]) -> None:
         if self.state in (State.ALARM, State.CHECK):
@@ -416,7 +449,7 @@ class Firmware:
         if self.state == State.DOOR and self._retracted and not self._ajar:
             self.state = State.IDLE
         if self.state == State.IDLE or (self.state == State.HOLD and self._hold_done):
-            self._end_suspend()
+            self._clear_suspend()
             if self.motion.is_empty:
                 self.state = State.IDLE
             else:
@@ -435,7 +468,7 @@ class Firmware:
             self.parser.position = self.motion.place(self.at_s)
         self.motion.finish()
         ajar = self._ajar
-        self._end_suspend()
+        self._clear_suspend()
         self.state = State.IDLE
         if ajar:
             self.state, self._ajar, self._suspended, self._hold_done = State.DOOR, True, True, True
@@ -487,8 +520,9 @@ class Firmware:
 
     def _begin_anew(self) -> None:
         """What a reset leaves: the count, and what the EEPROM keeps."""
-        self.is_aborted, self._flags, self._alarm = False, set(), None
+        self.is_aborted, self.flags, self.alarm = False, set(), None
         self._clear_suspend()
+        self.accessories = 5, 9
         self.counters = Counters()
         self.shares = [100, 100, 100]
         self.uart.waiting.clear()

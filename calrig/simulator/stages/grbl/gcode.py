@@ -30,6 +30,8 @@ GROUPS = {
     61: 13,
 }
 """Modal group of a G word."""
+VARIANTS = {**dict.fromkeys((28, 30, 91, 92), (0, 10)), 43: (10,), 61: (0,), 90: (0,)}
+"""Decimals, in hundredths, with which some G words are known at all."""
 NON_MODAL, DISTANCE, ARC_DISTANCE, UNITS, SYSTEM = 0, 3, 4, 6, 12
 M_GROUPS = {**dict.fromkeys((0, 1, 2, 30), 104), **dict.fromkeys((3, 4, 5), 107), 8: 108, 9: 108}
 NOT_NEGATIVE = set("FNPTS")
@@ -169,16 +171,7 @@ class _Words:
         elif group == 8:
             self._claim("tlo")
             self.tlo = number
-        refused = {
-            28: hundredths not in (0, 10),
-            30: hundredths not in (0, 10),
-            92: hundredths not in (0, 10),
-            90: hundredths != 0,
-            91: hundredths not in (0, 10),
-            43: hundredths != 10,
-            61: hundredths != 0,
-        }
-        if refused.get(number, False):
+        if hundredths not in VARIANTS.get(number, (hundredths,)):
             raise Refusal(20)
         if group == DISTANCE and hundredths:
             group = ARC_DISTANCE

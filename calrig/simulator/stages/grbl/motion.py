@@ -61,9 +61,12 @@ class Motion:
         eeprom: rates and accelerations.
         drive: takes the way of the turning axis from an instant on, in units.
         index: of the turning axis.
+
+    Attributes:
+        stands_s: when the last step that is planned by now will have been made; infinite in the past at rest.
     """
 
-    def __init__(self, eeprom: Eeprom, drive: Callable[[list[Segment]], None], index: int) -> None:
+    def __init__(self, eeprom: Eeprom, drive: Callable[[list[Segment]], object], index: int) -> None:
         self._eeprom = eeprom
         self._drive = drive
         self._index = index
@@ -71,13 +74,8 @@ class Motion:
         self._pieces: list[Piece] = []
         self._line_ends_s: list[float] = []
         self._axes = [Trajectory(0.0) for _ in range(eeprom.n_axes)]
-        self._rests_s = -math.inf
+        self.stands_s = -math.inf
         self.feed_share = self.rapid_share = 1.0
-
-    @property
-    def stands_s(self) -> float:
-        """When the last step that is planned by now will have been made; infinite in the past at rest."""
-        return self._rests_s
 
     @property
     def is_empty(self) -> bool:
@@ -91,12 +89,12 @@ class Motion:
     def rate(self, at_s: float) -> float:
         """Units per second of the slice that is prepared at an instant."""
         found = self._piece(at_s + AHEAD_S)
-        if found is None or at_s + AHEAD_S >= self._rests_s:
+        if found is None or at_s + AHEAD_S >= self.stands_s:
             return 0.0
         since_s = at_s + AHEAD_S - self._pieces[0].along.start_s
         end_s = self._pieces[0].along.start_s + math.ceil(since_s / SLICE_S) * SLICE_S
-        ahead = self._piece(min(end_s, self._rests_s))
-        return max(abs(ahead.along.at(min(end_s, self._rests_s))[1]), 0.0) if ahead else 0.0
+        ahead = self._piece(min(end_s, self.stands_s))
+        return max(abs(ahead.along.at(min(end_s, self.stands_s))[1]), 0.0) if ahead else 0.0
 
     def room(self, at_s: float) -> int:
         """How many more lines are taken."""
@@ -123,7 +121,7 @@ class Motion:
     def brake(self, at_s: float) -> None:
         """Come to rest on the way; the remainder waits for `begin`."""
         begin_s = at_s + AHEAD_S
-        if begin_s >= self._rests_s:
+        if begin_s >= self.stands_s:
             return
         kept = [piece for piece in self._pieces if piece.along.start_s < begin_s]
         last = kept[-1]
@@ -148,10 +146,8 @@ class Motion:
     def stop(self, at_s: float) -> None:
         """Make no further step, and forget what waited."""
         places = self.place(at_s)
-        self._lines, self._pieces, self._line_ends_s = [], [], []
-        self._rests_s = -math.inf
-        for axis, place in enumerate(places):
-            self._axes[axis].replace_from(at_s, [Segment(at_s, place)])
+        self.finish()
+        self.set_places(at_s, dict(enumerate(places)))
 
     def set_places(self, at_s: float, places: dict[int, float]) -> None:
         """Count on from other numbers; no motor moves."""
@@ -161,7 +157,7 @@ class Motion:
     def finish(self) -> None:
         """What was planned has been made: forget the lines."""
         self._lines, self._pieces, self._line_ends_s = [], [], []
-        self._rests_s = -math.inf
+        self.stands_s = -math.inf
 
     def rest_is_left(self) -> bool:
         """Whether a hold has left something of the way."""
@@ -193,7 +189,7 @@ class Motion:
             return 0.0, 0.0
         self._lines = self._lines[self._lines.index(piece.line) :]
         along, speed = piece.along.at(at_s)
-        if at_s >= self._rests_s:
+        if at_s >= self.stands_s:
             speed = 0.0
         if speed == 0.0 and along >= piece.line.length - 1e-9 and len(self._lines) > 1:
             self._lines = self._lines[1:]
@@ -201,7 +197,7 @@ class Motion:
         return min(along, piece.line.length), speed
 
     def _is_made(self, at_s: float) -> bool:
-        return bool(self._pieces) and at_s >= self._rests_s and not self.rest_is_left()
+        return bool(self._pieces) and at_s >= self.stands_s and not self.rest_is_left()
 
     def _acceleration(self, line: Line) -> float:
         return self._limited(line, ACCELERATION, 1.0)
@@ -261,11 +257,11 @@ class Motion:
 
     def _send(self, at_s: float) -> None:
         """Lay out the way of every axis from an instant on, and hand the turning one's to the motor."""
-        self._rests_s = self._pieces[-1].along.start_s
+        self.stands_s = self._pieces[-1].along.start_s
         self._line_ends_s = [
             min(
                 (p.along.start_s for p in self._pieces if self._lines.index(p.line) > k),
-                default=self._rests_s,
+                default=self.stands_s,
             )
             for k in range(len(self._lines))
         ]
