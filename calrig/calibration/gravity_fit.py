@@ -43,6 +43,10 @@ BY_CHANCE = 0.01
 GROSS = 10.0
 """Standard deviations. A smaller error may be a heavy tail, and moves a parameter by about its own error."""
 NORMAL_QUARTILE = 0.6745
+BLOCKS, FEWEST_IN_A_BLOCK, SCATTER = 8, 4, 2.64
+"""Parts of a log in time, positions in each, and what their scatter reaches in 1 % by chance, as a variance
+over the stated one (χ² of 7 degrees of freedom over 7).
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,11 +257,23 @@ class GravityFit:
     def covariance(self) -> FloatArray:
         """(6 + 3k, 6 + 3k) of `beta`, as of Student's t (JCGM 101:2008, 6.4.9.4).
 
-        The residual variance is itself an estimate, of n − p degrees of freedom.
+        The residual variance is itself an estimate, of n − p degrees of freedom. A sensor that wanders over
+        the log errs alike in neighbouring positions: where the scores of its `BLOCKS` parts scatter by more
+        than those of independent errors, they give the variance (Liang & Zeger, Biometrika 73, 1986).
         """
         n, p = len(self.jacobian), int(self.jacobian.any(axis=0).sum())
         variance = float(self.residual_g @ self.residual_g) / max(n - p - 2, 1)
-        return np.asarray(variance * np.linalg.pinv(self.jacobian.T @ self.jacobian), dtype=np.float64)
+        inverse = np.linalg.pinv(self.jacobian.T @ self.jacobian)
+        stated = variance * inverse
+        if n < FEWEST_IN_A_BLOCK * BLOCKS:
+            return np.asarray(stated, dtype=np.float64)
+        parts = np.array_split(self.jacobian * self.residual_g[:, None], BLOCKS)
+        scores = np.stack([part.sum(axis=0) for part in parts]) @ inverse
+        by_blocks = BLOCKS / (BLOCKS - 1) * n / max(n - p, 1) * (scores**2).sum(axis=0)
+        size = np.diag(stated)
+        ratio = np.divide(by_blocks, size, out=np.ones_like(size), where=size > 0.0)
+        wider = np.sqrt(np.where(ratio > SCATTER, ratio, 1.0))
+        return np.asarray(stated * wider * wider[:, None], dtype=np.float64)
 
     @property
     def bias_std_g(self) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,6 +114,26 @@ def test_the_fit_equals_an_independent_least_squares_of_the_same_model():
     np.testing.assert_allclose(1.0 / np.diag(fitted.matrix), expected[3:6], atol=1e-8)
     xy_xz_yz_mrad, _ = fitted.parameters(EFFECTS[0], poses)
     assert xy_xz_yz_mrad[2] == pytest.approx(1e3 * expected[8], abs=1e-5)
+
+
+@pytest.mark.parametrize("wanders_g", [2e-3, 0.0])
+def test_a_bias_that_wanders_over_the_log_has_the_error_that_its_parts_show(wanders_g):
+    """The y axis' offset goes up and down twice; noise alone widens errors in a hundredth of the tables."""
+    ratios, apart = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        poses = poses_of(directions(rng, 96), rng)
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        wander_g = wanders_g * np.sin(np.linspace(0.0, 4.0 * np.pi, 96) + phase)
+        raw_g = poses.accel_g + np.outer(wander_g, [0.0, 1.0, 0.0])
+        fitted = fit_gravity(Problem.of(replace(poses, accel_g=raw_g)))
+        independent = float(fitted.residual_g @ fitted.residual_g) / (96 - 6 - 2)
+        plain = np.sqrt(independent * np.diag(np.linalg.inv(fitted.jacobian.T @ fitted.jacobian)))
+        ratios.append(np.sqrt(np.diag(fitted.covariance)) / plain)
+        apart.append((fitted.bias_g[1] - BIAS_G[1]) / fitted.bias_std_g[1])
+    wider = np.mean(np.asarray(ratios)[:, 1] > 1.001)
+    assert (wider > 0.5) if wanders_g else (wider < 0.1)
+    assert np.mean(np.abs(apart) < 3.0) >= 0.9
 
 
 @pytest.mark.statistical
