@@ -8,9 +8,16 @@ from functools import partial
 
 from calrig.analysis.errors import Conflict
 from calrig.analysis.results import rest_on_map
-from calrig.analysis.stored_runs import MOST_POSES, counted_poses
+from calrig.analysis.stored_runs import counted_poses
 from calrig.analysis.unit_of_work import Fits
-from calrig.calibration.diagnosis import Growth, JointEffects, RunOfEffects, fit_together, held_out_growth
+from calrig.calibration.diagnosis import (
+    MOST_POSES,
+    Growth,
+    JointEffects,
+    RunOfEffects,
+    fit_together,
+    held_out_growth,
+)
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.results import AppliedEffect, own_effect
 from calrig.store import AcceptedEffect, Run, Store

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from calrig.analysis.errors import Conflict, Invalid, Unknown
-from calrig.calibration.diagnosis import Findings, diagnose
+from calrig.calibration.diagnosis import MOST_POSES, Findings, diagnose
 from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose
 from calrig.calibration.regression import ASSUMED, AssumedReference, DiagnosisRequest
 from calrig.export.poses_csv import Labels
@@ -40,10 +40,6 @@ def labels_of(run: Run) -> Callable[[Pose], Labels] | None:
 
 
 LONGEST_REASON = 1000
-MOST_POSES = 4_000
-"""Of one diagnosis: a hundred name an effect of the size of the noise. Each thousand takes 10–20 s of a core
-and 140 MB, a few times as long on a small machine: these fit what a piece of heavy work may take.
-"""
 
 
 def stored_run(store: Store, run_id: str) -> Run:

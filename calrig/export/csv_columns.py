@@ -26,6 +26,7 @@ _MEANINGS = {
     "target_deg": "the angle of the reference, commanded or measured",
     "reading_deg": "the angle that the unit reads",
 }
+"""What to rename where a file lacks one of these."""
 
 
 @dataclass(slots=True)
@@ -240,14 +241,18 @@ def missing_columns(
         found.append(CsvError(f"there is no such column{means}{why}{hint}", line=line, column=name))
     if found:
         texts, last = [column.text for column in columns], found[-1]
-        n_data = sum(_DATA.fullmatch(text) is not None for text in texts)
-        is_data = 2 * n_data > len(texts) and not any(column.is_known for column in columns)
+        is_data = are_data(texts) and not any(column.is_known for column in columns)
         rest = "the first line holds numbers, and the column names must come before it"
         end = f": {rest}" if is_data else f"; {there_are(texts)}"
         if below is not None:
             end = f"; {there_are(texts)}; or the names are in line {below}: leave out the lines before it"
         found[-1] = CsvError(f"{last.what}{end}", line=line, column=last.column)
     return found
+
+
+def are_data(cells: Sequence[str]) -> bool:
+    """Return whether most cells of a line are numbers or times, and no names of columns."""
+    return 2 * sum(_DATA.fullmatch(cell.strip()) is not None for cell in cells) > len(cells)
 
 
 def header_notes(columns: Sequence[Column], known: Collection[str]) -> list[str]:

@@ -24,6 +24,7 @@ from calrig.export.csv_columns import (
     MAX_NAME_CHARACTERS,
     NUMBER,
     Column,
+    are_data,
     clock_name,
     columns_of,
     header_notes,
@@ -328,7 +329,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     _read_by_cells(columns, data[begin : begin + EXAMINED_BYTES // 10], dialect, known, required)
     refuse_bad_names(columns, header.line)
     with report:
-        below = _names_below(data, header)
+        lacks = set(required) - {column.name for column in columns}
+        below = _names_below(data, header, dialect) if lacks else None
         for fault in missing_columns(columns, required, header.line, below=below):
             report.add_fault(fault)
     for note in header_notes(columns, known):
@@ -352,6 +354,7 @@ class _Row(NamedTuple):
 
 
 PREAMBLE_ROWS = 100
+"""How far down the names of the columns are looked for."""
 
 
 def _header_elsewhere(
@@ -375,13 +378,15 @@ def _header_elsewhere(
     return None
 
 
-def _names_below(data: bytes, header: _Row) -> int | None:
-    """The first line with the most cells, if the header has fewer."""
+def _names_below(data: bytes, header: _Row, dialect: Dialect) -> int | None:
+    """The first line with the most cells, if the header has fewer, and they are no data."""
     rows = [header]
     for _ in range(PREAMBLE_ROWS):
         rows.append(_next_row(data, rows[-1].end, rows[-1].line + 1))
-    cells = [max(row.text.count(sign.encode()) for sign in SEPARATORS) for row in rows]
-    return rows[cells.index(max(cells))].line if max(cells) > cells[0] else None
+    cells = [row.text.decode(errors="replace").split(dialect.separator) for row in rows]
+    widest = max(range(len(rows)), key=lambda k: len(cells[k]))
+    has_more = len(cells[widest]) > len(cells[0])
+    return rows[widest].line if has_more and not are_data(cells[widest]) else None
 
 
 _JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")

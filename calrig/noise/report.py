@@ -12,7 +12,7 @@ from calrig.noise.units import bias_instability, level, quantity, white_density,
 
 _SENSORS = {"accel": "Accelerometer", "gyro": "Gyro", "elevation": "Elevation"}
 _COLOURS = {
-    "white": "white (a mean over τ errs by as much as 1/√τ)",
+    "white": "white (the error of a mean over τ falls as 1/√τ)",
     "pink": "pink (flicker: averaging longer than its floor gains nothing)",
     "brown": "brown (a random walk: averaging longer makes it worse)",
     "quantisation-limited": "limited by quantisation: the steps of the converter are as large as the noise",

@@ -45,7 +45,7 @@ _COUNTS = (_RUN.status == "completed", _RUN.kind != "static", _RUN.voided_reason
 _IS_EXCLUDED = sqlalchemy.case((_POSE.excluded_reason.is_(None), 0), else_=1)
 _ROW = (_POSE.run_id, _POSE.pose_index, *(_POSE[name] for name in POSE_NUMBERS), _POSE.crc32, _IS_EXCLUDED)
 _N_CHECKED = 2 + len(POSE_NUMBERS)
-"""FloatArray that a pose's checksum is over, the first of `_ROW`."""
+"""Numbers that a pose's checksum is over, the first of `_ROW`."""
 _COVARIATES = sqlalchemy.cast(_POSE.covariates, sqlalchemy.String)
 _NO_COVARIATES = ("{}", checksums.to_json(checksums.sealed({})))
 _n_keys = sqlalchemy.func.length(_COVARIATES) - sqlalchemy.func.length(

@@ -61,8 +61,8 @@ def test_fewer_poses_than_parameters_are_refused(count: int) -> None:
 
 
 def test_more_poses_than_a_search_can_take_are_refused_with_how_many_to_leave_out() -> None:
-    with pytest.raises(DiagnosisError, match=r"5001 poses; at most 5000 .*one row in 2"):
-        diagnose([run_of(np.linspace(-60.0, 60.0, 5001))])
+    with pytest.raises(DiagnosisError, match=r"4,001 poses; at most 4,000 .*one row in 2"):
+        diagnose([run_of(np.linspace(-60.0, 60.0, 4001))])
 
 
 def of_a_drive(rows: int, lag_rows: float, steps: int = 12) -> list[Pose]:

@@ -50,10 +50,10 @@ def test_four_waves_a_turn_at_irregular_poses_are_order_4_of_the_turn():
 @pytest.mark.parametrize("first_deg", [27.0, 207.0])
 def test_a_sensor_over_its_own_turn_has_its_orders_wherever_the_table_begins(first_deg):
     """Even steps; small orders beside large ones, as hand fits of a public encoder's table found them."""
-    amplitudes_deg = {1: 1.542, 2: 0.125, 3: 0.037, 4: 0.044, 5: 0.013, 50: 0.035}
+    amplitudes_deg = {1: 1.542, 2: 0.125, 3: 0.037, 4: 0.044, 5: 0.013, 50: 0.035, 100: 0.038}
     truth_deg = np.arange(0.0, 360.0, 1.8)
     noise_deg = np.random.default_rng(7).normal(0.0, 0.0136, 200)
-    error_deg = sum(a * np.sin(np.radians(k * truth_deg + 40.0 * k)) for k, a in amplitudes_deg.items())
+    error_deg = sum(a * np.sin(np.radians(k * truth_deg + 41.0 * k)) for k, a in amplitudes_deg.items())
     turned = np.roll(np.arange(200), -round(first_deg / 1.8))
     targets_deg = first_deg + 1.8 * np.arange(200)
     readings_deg = targets_deg + (error_deg + noise_deg)[turned]

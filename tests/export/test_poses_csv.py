@@ -194,6 +194,8 @@ def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
         (b"1.0,2.0\n3.0,4.0\n", 1, "target_deg", "the first line holds numbers"),
         (b"2021-05-05 10:00:00,2.0,-3\n", 1, "target_deg", "the first line holds numbers"),
         (b"Bench 3\n\ntilt_deg,reading_deg\n1,2\n", 1, "target_deg", "the names are in line 3"),
+        (b"Winkel;Anzeige\n1,5;2,5\n", 1, "target_deg", "there are: Winkel, Anzeige (calrig"),
+        (b"tilt,meter\n1,2\n1,2,3\n", 1, "target_deg", "there are: tilt, meter (calrig"),
         (b"target_deg,reading_deg,lux,lux\n1,2,3,4\n", 1, "lux", "twice"),
         (b"target_deg,reading_deg\n1,2\n1,2,3\n", 3, None, "3 cells where the header has 2"),
         (b"target_deg,reading_deg\n1,5,2,5\n", 2, None, "decimals are written with a point"),

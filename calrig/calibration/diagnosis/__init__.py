@@ -17,4 +17,4 @@ from calrig.calibration.diagnosis.report import (
     partial_residuals,
 )
 from calrig.calibration.diagnosis.selection import Findings
-from calrig.calibration.diagnosis.tracing import diagnose, trace
+from calrig.calibration.diagnosis.tracing import MOST_POSES, diagnose, trace

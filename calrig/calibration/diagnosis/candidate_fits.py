@@ -375,9 +375,8 @@ def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate)
         if is_distinct_from(r, accepted, settled):
             best = yield from _fitted_at(settled)
     here = best.candidate
-    at_std = (
-        {} if here.shape.series == THE_TURN and not here.shape.scanned else {name: std}
-    )  # an order is known
+    is_known = here.shape.series == THE_TURN and not here.shape.scanned
+    at_std = {} if is_known else {name: std}
     return best._replace(candidate=replace(here, shape=replace(here.shape, at_std=at_std)))
 
 

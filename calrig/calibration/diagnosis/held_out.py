@@ -165,6 +165,8 @@ def without_harm(
         return CrossValidation(held_out.base_deg, errors(those, BETWEEN), held_out.folds, is_searched=False)
 
     again = refitted(found)
+    if not held_out.is_gain and again.is_gain:  # the folds' own searches are not why effects leave
+        harm = harm_of(found, again) or harm
     while found and harm_of(found, again) is not None:
         fewer = [[f for f in found if f is not one] for one in found]
         found = min(fewer, key=lambda those: rms(errors(those)))
@@ -288,7 +290,7 @@ def confirm(
 
 BLOCKS = 4
 TIME, BETWEEN = "time", "between"
-"""Along nothing: the interleaved folds, as many as there are blocks."""
+"""Along every run; and along nothing: the interleaved folds, as many as there are blocks."""
 UNSTABLE = 1e-3
 """Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
 ESTIMABLE = 1e-4

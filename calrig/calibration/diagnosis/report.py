@@ -71,9 +71,10 @@ def covariance_of(
     *,
     draws: bool = True,
 ) -> FloatArray:
-    """Return (p, p) covariance of a fit's coefficients, each error as large as refits scatter, never smaller.
+    """Return (p, p) covariance of a fit's coefficients, no error smaller than the fit states it.
 
-    Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`).
+    Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`), and with
+    `draws` as large as refits of noise scatter.
 
     Args:
         r: the responses.
@@ -84,22 +85,21 @@ def covariance_of(
         draws: whether noise is drawn and fitted again.
     """
 
-    def over(variance: FloatArray, otherwise: float) -> FloatArray:
+    def over(variance: FloatArray, stated: FloatArray, otherwise: float) -> FloatArray:
         ratio = np.divide(variance, stated, out=np.full_like(stated, otherwise), where=stated > 0.0)
         for own in curves:  # another factor for each would undo that their errors cancel
             ratio[own] = ratio[own].mean()
         return ratio
 
-    stated = np.diag(fitted.covariance)
-    moved = over(moved_unweighted(r, columns, fitted) ** 2, 0.0)
-    times = np.ones_like(stated)
+    moved = over(moved_unweighted(r, columns, fitted) ** 2, np.diag(fitted.covariance), 0.0)
+    times = np.ones_like(moved)
     if draws:
         taken = max(1.0, columns.shape[2] / len(r.channels))
         noise = noise_of(fitted.residuals, r, taken, unbiased=True)
         drawn = np.random.default_rng(seed).standard_normal((DRAWS, *fitted.residuals.shape))
         again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
         stated = np.einsum("bpp->p", again.covariance) / DRAWS
-        times = np.maximum(over((again.beta**2).mean(axis=0), 1.0), 1.0)
+        times = np.maximum(over((again.beta**2).mean(axis=0), stated, 1.0), 1.0)
     wider = np.sqrt(times + moved)
     return np.asarray(fitted.covariance * wider * wider[:, None], dtype=np.float64)
 
@@ -174,7 +174,7 @@ def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool 
     Args:
         model: with its fit.
         own: the columns of each accepted effect.
-        widened: by how far refits of noise scatter (`covariance_of`).
+        widened: by how far refits of noise scatter, too (`covariance_of`).
     """
     slopes = [
         slope(model.responses, candidate, model.fitted.beta[at])
@@ -197,14 +197,15 @@ def _with_std_of_places(effects: Sequence[Candidate], covariance: FloatArray) ->
     """Return the effects with standard errors of the places refined that are those of the final model.
 
     Each place was refined beside the effects that were in the model then. Its variance is behind those of the
-    coefficients in the covariance (`covariance_with_places`).
+    coefficients in the covariance (`covariance_with_places`); an order keeps the error it was found with.
     """
     refined = [k for k, candidate in enumerate(effects) if _is_refined(candidate)]
     found = list(effects)
     for k, variance in zip(refined, np.diag(covariance)[len(covariance) - len(refined) :], strict=True):
         shape = found[k].shape
-        at_std = {found[k].effect.place: math.sqrt(max(float(variance), 0.0))}
-        found[k] = replace(found[k], shape=replace(shape, at_std=at_std))
+        if variance > 0.0:  # else the others say the same, and leave nothing to tell it by
+            at_std = {found[k].effect.place: math.sqrt(float(variance))}
+            found[k] = replace(found[k], shape=replace(shape, at_std=at_std))
     return found
 
 

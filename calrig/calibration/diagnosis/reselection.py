@@ -331,8 +331,9 @@ def with_known_places(
             for place in moves.get(f.candidate, [f.candidate])
         ]
         before, after = ([f.candidate for f in each] for each in (found, put))
-        moved = [c for c in after if c not in before]
-        if any(not c.is_distinct(r, other) for c in moved for other in after if other is not c):
+        moved = [k for k, one in enumerate(put) if all(one is not f for f in found)]
+        beside_it = ((k, m) for k in moved for m in range(len(after)) if m != k)
+        if any(not after[k].is_distinct(r, after[m]) for k, m in beside_it):
             continue  # two that these poses see as one would cancel each other
         if penalised_criterion(r, after) < penalised_criterion(r, before):
             found = put

@@ -43,8 +43,10 @@ from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 BOOTSTRAPS = 999
-MOST_POSES = 5000
-"""A search of more takes many minutes and several gigabytes."""
+MOST_POSES = 4_000
+"""A hundred name an effect of the size of the noise. Each thousand takes 10–20 s of a core and 140 MB, a few
+times as long on a small machine or where the noise wanders.
+"""
 UNSEEN = 3.0
 """How many times as far as the accelerometer's angle a reading strays that gravity does not account for."""
 LISTED = 5
@@ -100,7 +102,7 @@ def diagnose(
     given, incomplete = complete(runs)
     if (n_poses := sum(map(len, given))) > MOST_POSES:
         fewer = f"give one row in {math.ceil(n_poses / MOST_POSES)}, or means of neighbouring rows"
-        raise DiagnosisError(f"{n_poses} poses; at most {MOST_POSES} are diagnosed: {fewer}")
+        raise DiagnosisError(f"{n_poses:,} poses; at most {MOST_POSES:,} are diagnosed: {fewer}")
     whole, is_derived = with_approach(given)
     r = responses_of(whole, names_of(runs, given, run_ids), request)
     candidates = candidates_of(r)

@@ -31,8 +31,10 @@ from calrig.estimation.angles import FloatArray
 
 AS_SCANNED = np.geomspace(0.4, 2.5, 9)
 """Of the delay that a straight line through the errors against the velocity tells."""
-WILD = 8.0
-"""Times the median error: farther rows tell no delay to begin with."""
+WILD, LEAST_KEPT = 8.0, 0.5
+"""Times the median error: farther rows tell no delay to begin with, unless these are the moves; of the
+velocity's spread, what the others have to keep.
+"""
 LEAST_CHANGE = 1e-3
 """Of the velocity, as a share of the largest: at one velocity a delay is a bias."""
 CONSISTENT = 3.0
@@ -61,6 +63,8 @@ def _scan(r: Responses) -> Iterator[Parameters]:
     line = np.linalg.lstsq(beside, r.values[:, 0], rcond=None)[0]
     away_deg = np.abs(r.values[:, 0] - beside @ line)
     near = away_deg <= WILD * np.median(away_deg)  # outliers are left out of the search later, and not here
+    if beside[near, 2].std() < LEAST_KEPT * beside[:, 2].std():
+        near[:] = True
     delay_s = -r.sense * float(np.linalg.lstsq(beside[near], r.values[near, 0], rcond=None)[0][2])
     for factor in AS_SCANNED:
         yield {"over_s": float(delay_s * factor)}

@@ -131,7 +131,7 @@ def steps_of(theta_deg: FloatArray, spacing_deg: float) -> FloatArray:
 
 USUAL_ORDERS = (2, 3, 4, 5, 6, 7, 8, 12, 16)
 """Of the turn: what unequal channels, poles and phases make of an axis. Order 1 is an eccentricity."""
-OWN_ORDERS, ONE_TURN_DEG = tuple(range(2, 17)), 1.5 * TURN_DEG
+OWN_ORDERS, ONE_TURN_DEG = tuple(range(2, 17)), 1.1 * TURN_DEG
 """Of poses all along one turn, which closes: a wave as long as these is one of them."""
 SHORTEST_PERIOD_DEG = 1.75
 """Unless the poses lie closer: the full step of a common motor on the axis itself is 1.8°."""
@@ -159,18 +159,22 @@ def _scan(r: Responses) -> Iterator[Parameters]:
         yield from _family(r, known_deg, 1)
     if arc < 3.0 * SHORTEST_PERIOD_DEG:
         return
-    is_one_turn = goes_round(r) and arc < ONE_TURN_DEG
-    names = OWN_ORDERS if is_one_turn else USUAL_ORDERS
+    names = _known_orders(r)
     frequencies, orders = _scanned(r.theta_deg, arc, step_deg(r)), np.array(names) / TURN_DEG
     if len(frequencies):
         orders = orders[orders <= frequencies[-1]]
-    if is_one_turn:
+    if names is OWN_ORDERS:
         frequencies = frequencies[frequencies > OWN_ORDERS[-1] / TURN_DEG]
     periods = 1.0 / np.concatenate([orders, frequencies])
     resolved = _left_beside(r.base[:, 0, :], r.theta_deg, periods) >= LEAST_LEFT
     for k in np.flatnonzero(resolved):
         order = {"order": float(names[k])} if k < len(orders) else {}
         yield {"period_deg": float(periods[k]), **order}
+
+
+def _known_orders(r: Responses) -> tuple[int, ...]:
+    """Return the orders of the turn that are candidates without a scan."""
+    return OWN_ORDERS if goes_round(r) and r.arc_deg < ONE_TURN_DEG else USUAL_ORDERS
 
 
 def _family(r: Responses, period_deg: float, first: int) -> Iterator[Parameters]:
@@ -264,7 +268,7 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         names,
         form="order of the turn",
         at={"period_deg": period_deg, "order": at["order"]},
-        scanned=at["order"] not in OWN_ORDERS,
+        scanned=at["order"] not in _known_orders(r),
         says=f"order {at['order']:g} of the turn",
         series=THE_TURN,
         at_elevation=at_elevation,
@@ -292,19 +296,27 @@ def _settled(at: Parameters, std: Parameters) -> Parameters:
 
 
 def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
-    """Periods that the spacing of the poses may take for the one found, the longest first."""
+    """Periods that the spacing of the poses may take for the one found, the longest first.
+
+    Those of an order of the turn are no freer than that: the same wave at evenly spaced poses.
+    """
     found = 1.0 / shape.at["period_deg"]
     highest = max(1.0 / SHORTEST_PERIOD_DEG, found)
     peaks, power = window_peaks(r.theta_deg, 2.0 * highest, ALIKE_POWER)
     peaks = peaks[np.argsort(-power, kind="stable")]
     alike = np.unique(np.round(np.abs(np.stack([peaks - found, peaks + found], 1).ravel()), 9)[:MOST_ALIKE])
-    resolved = APART / float(np.ptp(r.theta_deg))
+    resolved, grid = APART / float(np.ptp(r.theta_deg)), _frequency_of_grid(r)
     taken = [found]
     for frequency in alike:
         is_new = min(abs(frequency - other) for other in taken) >= resolved
         if is_new and 1.0 / TURN_DEG + resolved <= frequency <= highest:
             taken.append(float(frequency))
-            yield {"period_deg": float(1.0 / frequency)}
+            if not grid or "order" not in shape.at:
+                yield {"period_deg": float(1.0 / frequency)}
+            else:
+                signed = (round((frequency - sign * found) / grid) * grid + sign * found for sign in (1, -1))
+                exact = min(map(abs, signed), key=lambda one: abs(one - frequency))
+                yield {"period_deg": float(1.0 / exact), "order": float(exact * TURN_DEG)}
 
 
 def _apart(r: Responses, shape: Shape, other: Shape) -> bool:

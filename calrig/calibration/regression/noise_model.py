@@ -415,7 +415,10 @@ def moved_unweighted(r: Responses, columns: FloatArray, fitted: Fit) -> FloatArr
     if noise.rho.max() < STRONG_RHO:
         return np.zeros_like(fitted.beta)
     rows = noise.rotated(np.moveaxis(columns, 2, 0))
-    inverse = np.linalg.pinv(np.einsum("jpn,jqn->pq", rows, rows), hermitian=True)
+    gram = np.einsum("jpn,jqn->pq", rows, rows)
+    size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+    size = size * size[:, None]
+    inverse = np.linalg.pinv(gram / size, rcond=SINGULAR, hermitian=True) / size
     moved = inverse @ np.einsum("jpn,jn->p", rows, noise.rotated(fitted.residuals))
     scatter = inverse @ np.einsum("jpn,jqn->pq", rows, noise.correlated(rows, r.starts)) @ inverse
     variance = np.maximum(np.diag(scatter) - np.diag(fitted.covariance), 0.0)

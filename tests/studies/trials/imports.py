@@ -101,8 +101,11 @@ def _values(poses: list[Pose]) -> list[dict[str, float | int]]:
 
 
 def _told(data: bytes, warnings: Sequence[str]) -> tuple[list[str], list[list[float | str | None]]]:
-    """The header, and the rows less those that the reader says it took for comments."""
+    """The header, and the rows less those that the reader says are comments, or before the header."""
     header, rows = rows_of(data)
+    if any(warning.startswith("what comes before the names") for warning in warnings):
+        k = next(k for k, row in enumerate(rows) if {"target_deg", "reading_deg"} <= set(row))
+        header, rows = [str(name) for name in rows[k]], rows[k + 1 :]
     if any(warning.startswith("comment lines are left out") for warning in warnings):
         rows = [row for row in rows if not str(row[0]).startswith("#")]
     return header, rows
