@@ -30,7 +30,12 @@ LOGS = 5
 """One file in so many is a log."""
 STORED = 20
 """One file of poses in so many goes the whole way, into a store and out of it again."""
-WITHOUT_A_LINE = ("the file is empty", "the file has a header and no rows", "at most")
+WITHOUT_A_LINE = (
+    "the file is empty",
+    "the file has comments and no rows",
+    "the file has a header and no rows",
+    "at most",
+)
 A_PIECE = 1000
 
 
@@ -124,9 +129,15 @@ def _differences(data: bytes, poses: list[Pose], warnings: list[str]) -> str:
             values = [row[name] for row in read]
             if values != [row[place] for row in rows]:
                 return f"column {name!r} holds other values"
-        elif not any(warning.startswith(f"column {name or place + 1}: ") for warning in warnings):
+        elif not any(_tells(warning, name, place) for warning in warnings):
             return f"column {name!r} was left out without a word"
     return ""
+
+
+def _tells(warning: str, name: str, place: int) -> bool:
+    """Whether a warning says that a column was left out, or what it was read as."""
+    is_read = warning.startswith("columns are read: ") and f"{name!r} as " in warning
+    return is_read or warning.startswith(f"column {name or place + 1}: ")
 
 
 def _log(data: bytes) -> str:
