@@ -353,7 +353,7 @@ class _Row(NamedTuple):
     comments: tuple[_Row, ...] = ()
 
 
-PREAMBLE_ROWS = 100
+PREAMBLE_ROWS, PREAMBLE_BYTES = 100, 100_000
 """How far down the names of the columns are looked for."""
 
 
@@ -370,9 +370,9 @@ def _header_elsewhere(
         bare = first.comments[-1]._replace(text=first.comments[-1].text.lstrip(b" #"))
         if not _has_long_names(bare) and has_known(bare.text, known):
             return bare
-    row = first
+    row, near = first, data[: first.end + PREAMBLE_BYTES]
     for _ in range(PREAMBLE_ROWS if required else 0):
-        row = _next_row(data, row.end, row.line + 1)
+        row = _next_row(near, row.end, row.line + 1)
         if not _has_long_names(row) and all(has_known(row.text, [name]) for name in required):
             return row
     return None
@@ -380,9 +380,9 @@ def _header_elsewhere(
 
 def _names_below(data: bytes, header: _Row, dialect: Dialect) -> int | None:
     """The first line with the most cells, if the header has fewer, and they are no data."""
-    rows = [header]
+    rows, near = [header], data[: header.end + PREAMBLE_BYTES]
     for _ in range(PREAMBLE_ROWS):
-        rows.append(_next_row(data, rows[-1].end, rows[-1].line + 1))
+        rows.append(_next_row(near, rows[-1].end, rows[-1].line + 1))
     cells = [row.text.decode(errors="replace").split(dialect.separator) for row in rows]
     widest = max(range(len(rows)), key=lambda k: len(cells[k]))
     has_more = len(cells[widest]) > len(cells[0])

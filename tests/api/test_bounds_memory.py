@@ -135,6 +135,7 @@ FILES = {
     "one line": (lambda: b"1" * 49 * MB, "longer than"),
     "nothing but commas": (lambda: b"," * 49 * MB, "longer than"),
     "nothing but blank lines": (lambda: POSES + b"\n" * 49 * MB, "longer than"),
+    "other names over blank lines": (lambda: b"tilt_a,b\n1,2\n" + b"\n" * 49 * MB, "no such column|line 1"),
     "a quote that does not end": (lambda: POSES + b'\n"' + b"\n" * 49 * MB, "is not CSV"),
     "a million rows": (lambda: POSES + b"\n" + b"1,2\n" * 12 * MB, "more than 100000 rows"),
     "two million cells": (lambda: WIDE + (b"1," * 199 + b"1\n") * 20_000, "more than 2000000 cells"),
