@@ -370,19 +370,23 @@ def _header_elsewhere(
         bare = first.comments[-1]._replace(text=first.comments[-1].text.lstrip(b" #"))
         if not _has_long_names(bare) and has_known(bare.text, known):
             return bare
-    row, near = first, data[: first.end + PREAMBLE_BYTES]
-    for _ in range(PREAMBLE_ROWS if required else 0):
-        row = _next_row(near, row.end, row.line + 1)
+    for row in _rows_below(data, first) if required else ():
         if not _has_long_names(row) and all(has_known(row.text, [name]) for name in required):
             return row
     return None
 
 
+def _rows_below(data: bytes, row: _Row) -> Iterator[_Row]:
+    """The next rows, as far as names are looked for."""
+    near = data[: row.end + PREAMBLE_BYTES]
+    for _ in range(PREAMBLE_ROWS):
+        row = _next_row(near, row.end, row.line + 1)
+        yield row
+
+
 def _names_below(data: bytes, header: _Row, dialect: Dialect) -> int | None:
     """The first line with the most cells, if the header has fewer, and they are no data."""
-    rows, near = [header], data[: header.end + PREAMBLE_BYTES]
-    for _ in range(PREAMBLE_ROWS):
-        rows.append(_next_row(near, rows[-1].end, rows[-1].line + 1))
+    rows = [header, *_rows_below(data, header)]
     cells = [row.text.decode(errors="replace").split(dialect.separator) for row in rows]
     widest = max(range(len(rows)), key=lambda k: len(cells[k]))
     has_more = len(cells[widest]) > len(cells[0])

@@ -29,7 +29,7 @@ from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
-from calrig.calibration.regression.noise_model import LARGEST_RHO, Fit, distance_of, fit
+from calrig.calibration.regression.noise_model import LARGEST_RHO, Fit, distance_of, fit, lag1_correlation
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.run_changes import with_free_levels
 from calrig.estimation.angles import FloatArray
@@ -137,7 +137,9 @@ def without_harm(
     if not findings.found:
         return findings, held_out.of_nothing(), []
     r, found = findings.responses, list(findings.found)
-    along = TIME if _hardly_changes(r, findings.fitted) else BETWEEN
+    left = findings.fitted.residuals[:, 0]
+    hardly_changes = lag1_correlation(left, float(r.rounding[0])) >= LARGEST_RHO
+    along = TIME if hardly_changes and TIME in _folds(r) else BETWEEN
 
     def errors(those: Sequence[SelectedEffect], along: str = along) -> FloatArray:
         return _errors(r, tuple(f.candidate for f in those), along)
@@ -171,23 +173,15 @@ def without_harm(
         fewer = [[f for f in found if f is not one] for one in found]
         found = min(fewer, key=lambda those: rms(errors(those)))
         again = refitted(found)
-    left = [f.candidate.label for f in findings.found if f not in found]
-    if not left:
+    dropped = [f.candidate.label for f in findings.found if f not in found]
+    if not dropped:
         return findings, again, []
     which, before_deg, after_deg = harm
     warning = (
-        f"{', '.join(left)}: significant, but not listed, since the error on {which} is no smaller "
+        f"{', '.join(dropped)}: significant, but not listed, since the error on {which} is no smaller "
         f"with it: RMS {before_deg:#.3g}° before and {after_deg:#.3g}° after"
     )
     return with_effects(findings, found), again, [warning]
-
-
-def _hardly_changes(r: Responses, fitted: Fit) -> bool:
-    """Return whether the reading's error is correlated beyond the model of the noise, in runs with blocks."""
-    left = fitted.residuals[:, 0]
-    follows = ~r.starts[1:]
-    power = float(left @ left) + len(r) * float(r.rounding[0]) ** 2
-    return TIME in _folds(r) and float((left[1:] * left[:-1]) @ follows) >= LARGEST_RHO * power
 
 
 def fit_rms_deg(r: Responses, found: Sequence[SelectedEffect]) -> tuple[float, float]:

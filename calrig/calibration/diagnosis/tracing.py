@@ -37,6 +37,7 @@ from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE
 from calrig.calibration.regression.effect import APPROACH
 from calrig.calibration.regression.motion import DERIVED_APPROACH, with_approach
+from calrig.calibration.regression.noise_model import lag1_correlation
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Responses, names_of, responses_of
 from calrig.estimation.angle_text import angle_text
@@ -152,7 +153,7 @@ def _lack_of_fit(kept: Sequence[Sequence[Pose]], findings: Findings) -> LackOfFi
         residual_deg,
         r.starts & freed,
         parameters=of_reading - freed * int(r.starts.sum()),
-        lag1_correlation=_lag1(residual_deg, float(r.rounding[0])),
+        lag1_correlation=lag1_correlation(residual_deg, float(r.rounding[0])),
         rounding_deg=float(r.rounding[0]),
     )
 
@@ -281,11 +282,6 @@ def _after_deg(findings: Findings) -> FloatArray:
     """Return (n,) what the final model leaves of the readings, in degrees of elevation."""
     accepted = [f.candidate for f in findings.found]
     return left_deg(findings.responses, accepted, findings.fitted)
-
-
-def _lag1(residual: FloatArray, rounding_deg: float) -> float:
-    power = float(residual @ residual) + len(residual) * rounding_deg**2
-    return float(residual[1:] @ residual[:-1]) / power
 
 
 def trace(

@@ -387,6 +387,12 @@ def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: fl
     return white.reshape(len(white), -1).T
 
 
+def lag1_correlation(residual: FloatArray, rounding: float) -> float:
+    """Return the correlation from pose to pose of a residual (n,), with errors of rounding in it."""
+    power = float(residual @ residual) + len(residual) * rounding**2
+    return float(residual[1:] @ residual[:-1]) / power
+
+
 def distance_of(beta: FloatArray, covariance: FloatArray) -> float:
     """Return the squared distance of coefficients (p,) from 0, in whatever units each of them is."""
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -416,9 +422,8 @@ def moved_unweighted(r: Responses, columns: FloatArray, fitted: Fit) -> FloatArr
         return np.zeros_like(fitted.beta)
     rows = noise.rotated(np.moveaxis(columns, 2, 0))
     gram = np.einsum("jpn,jqn->pq", rows, rows)
-    size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
-    size = size * size[:, None]
-    inverse = np.linalg.pinv(gram / size, rcond=SINGULAR, hermitian=True) / size
+    (turn,) = orthonormal(gram[None], np.sqrt(np.diag(gram))[None])
+    inverse = turn @ turn.T
     moved = inverse @ np.einsum("jpn,jn->p", rows, noise.rotated(fitted.residuals))
     scatter = inverse @ np.einsum("jpn,jqn->pq", rows, noise.correlated(rows, r.starts)) @ inverse
     variance = np.maximum(np.diag(scatter) - np.diag(fitted.covariance), 0.0)
