@@ -36,16 +36,18 @@ def test_at_one_speed_a_delay_and_a_backlash_are_both_said_and_nothing_settled(s
     assert effect["parameters"]["delay_s"]["value"] == pytest.approx(0.2, rel=0.05)
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_a_delay_at_speeds_that_differ_stands_alone(sense):
+@pytest.mark.parametrize(("sense", "delay_s"), [(1.0, 0.05), (-1.0, 0.05), (1.0, -0.05)])
+def test_a_delay_at_speeds_that_differ_stands_alone_and_its_words_hold_for_both_signs(sense, delay_s):
     time_s = np.arange(0.0, 60.0, 0.4)
-    there_deg = [60.0 * np.sin(0.5 * at) + 10.0 * np.sin(1.7 * at) for at in (time_s, time_s - 0.05)]
+    there_deg = [60.0 * np.sin(0.5 * at) + 10.0 * np.sin(1.7 * at) for at in (time_s, time_s - delay_s)]
     noise_deg = np.random.default_rng(1).normal(0.0, 0.05, len(time_s))
     reading_deg = sense * (0.3 + there_deg[1] + noise_deg)
     poses = posed(target_deg=there_deg[0], reading_deg=reading_deg, time_s=time_s)
     (effect,) = found_in(poses)["effects"]
     assert (effect["name"], effect["verdict"]) == ("latency", "named")
-    assert effect["parameters"]["delay_s"]["value"] == pytest.approx(0.05, rel=0.05)
+    assert effect["parameters"]["delay_s"]["value"] == pytest.approx(delay_s, rel=0.05)
+    assert "subtract the delay" in effect["remedy"]
+    assert "if it is negative" in effect["remedy"]
 
 
 def test_a_start_that_is_far_off_hides_no_delay():

@@ -107,11 +107,11 @@ def _on_reading_deg(p: Applied) -> FloatArray:
 
 EFFECT = Effect(
     name="latency",
-    title="Readings that come late",
+    title="Time offset of readings",
     origin="process",
     scope="run",
     covariate=VELOCITY,
-    parameters=(Parameter("delay_s", "Delay", "s"),),
+    parameters=(Parameter("delay_s", "Delay (negative: early)", "s"),),
     formula="−delay_s·velocity",
     forms=_forms,
     scan=_scan,
@@ -119,6 +119,7 @@ EFFECT = Effect(
     on_reading_deg=_on_reading_deg,
     in_c=NotInFlight("it is of the procedure that measured, not of the unit"),
     apart="proportional to the velocity at the time of the reading",
-    remedy="read standing still, or advance the readings by the delay",
+    remedy="read at rest, or subtract the delay from the readings' times; if it is negative, the readings "
+    "are stamped early or the elevations late",
     late_by_deg=_late_by_deg,
 )
