@@ -355,7 +355,7 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
 
     print_line(f"{found.verdict}: {found.final.model}", style="bold")
     for effect in found.effects:
-        _print_effect(effect)
+        _print_effect(effect, reference_is_good=found.reference == "good")
     print_line("")
     base, final, noise = found.base, found.final, found.noise
     rows = [
@@ -372,11 +372,11 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
     print_warnings(found.warnings)
     if found.follow_up is not None:
         sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
-        origins = {effect.name: effect.origin for effect in found.effects}
-        first = found.follow_up.separates[0]
-        own = EFFECTS[first].title_of(origins.get(first, EFFECTS[first].origin))
-        others = [EFFECTS[name].title for name in found.follow_up.separates[1:]]
-        names = " and ".join([own, *(others or [SAME_EFFECT])])
+        separated = [
+            EFFECTS[name].words_by("", reference_is_good=found.reference == "good").title
+            for name in found.follow_up.separates
+        ]
+        names = " and ".join(separated if len(separated) > 1 else [*separated, SAME_EFFECT])
         how = "its plan is in --json" if of_files else f"POST /api/runs/{found.runs[-1]}/follow-up"
         print_line(f"a follow-up run would separate {names} by {sigmas}: {how}")
 
@@ -499,22 +499,24 @@ def print_filters(found: dict[str, Any]) -> None:
     _print_sentences(found["summary"])
 
 
-def _print_effect(effect: EffectFound) -> None:
+def _print_effect(effect: EffectFound, *, reference_is_good: bool) -> None:
     """Print an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effects import EFFECTS, covariate_of
     from calrig.calibration.regression import ORIGINS
     from calrig.calibration.uncertainty import SAME_EFFECT
 
     known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
-    titles = [known.title_of(effect.origin)]
-    titles += [
-        SAME_EFFECT if rival == effect.name else EFFECTS[rival].title_of(effect.origin)
-        for rival in effect.confusable_with
-    ]
+    own, *others = (
+        EFFECTS[name].words_by(effect.covariate, reference_is_good=reference_is_good).title
+        for name in (effect.name, *effect.confusable_with)
+    )
+    titles = [own, *(SAME_EFFECT if other == own else other for other in others)]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     between = f", changed from run {changed.from_} to run {changed.to}" if changed else ""
     heading = f"{', or '.join(titles)}{between}"
-    print_line(f"\n{heading} ({effect.verdict}; {ORIGINS[effect.origin]}; {against})")
+    is_coupling = reference_is_good and effect.origin == "stage"
+    origin = "sensor or coupling" if is_coupling else ORIGINS[effect.origin]
+    print_line(f"\n{heading} ({effect.verdict}; {origin}; {against})")
     for one in known.parameters:
         if not one.flag:
             unit = covariate.unit if one.unit is None else one.unit

@@ -81,7 +81,7 @@ def test_the_answer_names_what_was_found_the_weakest_first():
     several = (effect("backlash", "ambiguous", "settling"), NO_NAME, effect("time_drift"))
     said = conclude(found("ambiguous", *several)).says[0]
     parts = [
-        ("Indistinguishable", "backlash or settling"),
+        ("Indistinguishable", "backlash of the stage or incomplete settling"),
         ("Not in the catalogue", "follows time"),
         ("Identified", "drift in time"),
     ]
@@ -92,7 +92,16 @@ def test_the_answer_names_what_was_found_the_weakest_first():
 
 def test_a_candidate_without_a_name_is_an_unknown_effect():
     said = conclude(found("ambiguous", effect("temperature_offset", "ambiguous", "unnamed"))).says[0]
-    assert said.endswith("temperature offset or an unknown effect")
+    assert said.endswith("offset that follows temperature or an unknown effect")
+
+
+def test_with_a_good_reference_every_effect_and_rival_has_the_words_for_it():
+    several = (effect("time_drift", "ambiguous", "stage_eccentricity"), effect("backlash"))
+    diagnosis = found("ambiguous", *several)
+    assert conclude(diagnosis).says[0].count("of the stage") == 2
+    said = conclude(diagnosis | {"reference": "good"}).says[0]
+    assert "drift in time or eccentricity of the sensor" in said
+    assert "stage" not in said
 
 
 def answer(left):

@@ -71,6 +71,7 @@ def test_of_two_effects_that_make_each_other_uncertain_one_stays_and_is_ambiguou
     (left,) = established(findings_of(r, found), draws=True).found
     assert left.verdict == "ambiguous"
     assert {left.candidate, *left.rivals} == {f.candidate for f in found}
+    assert left.doubts[-1].startswith("these poses determine either it or periodic error of the stage")
 
 
 def test_an_effect_that_is_certain_only_without_another_stays_where_the_model_needs_both() -> None:
@@ -88,6 +89,7 @@ def test_an_effect_that_is_certain_only_without_another_stays_where_the_model_ne
     kept = established(findings_of(r, found), draws=True).found
     assert [f.candidate for f in kept] == [f.candidate for f in found]
     assert "ambiguous" in {f.verdict for f in kept}
+    assert "_" not in "".join(doubt for f in kept for doubt in f.doubts)
 
 
 def test_effects_that_predict_held_out_poses_worse_are_not_listed() -> None:
@@ -98,7 +100,7 @@ def test_effects_that_predict_held_out_poses_worse_are_not_listed() -> None:
     kept, held_out, (warning,) = without_harm(findings, harmful)
     assert len(kept.found) < 2
     assert held_out.is_gain or not kept.found
-    assert "stage_periodic" in warning
+    assert "periodic error of the stage" in warning
     assert without_harm(findings, CrossValidation(np.ones(len(r)), np.zeros(len(r)), 4))[0] is findings
 
 
@@ -124,7 +126,7 @@ def test_a_curve_through_noise_that_wanders_is_listed_only_if_its_own_poses_and_
     hardly_changes = float(left_deg[1:] @ left_deg[:-1]) >= 0.95 * float(left_deg @ left_deg)
     is_nearer, is_foreseen = after_deg < before_deg, along_time.ratio < 1.0 or not hardly_changes
     assert bool(kept.found) == (is_nearer and is_foreseen)
-    assert [("on fitted poses" in said, "of time" in said) for said in warnings] == (
+    assert [("than bias and scale alone" in said, "blocks of time" in said) for said in warnings] == (
         [] if kept.found else [(not is_nearer, is_nearer)]
     )
 

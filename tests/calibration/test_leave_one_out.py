@@ -44,7 +44,7 @@ def test_what_one_long_move_alone_decides_is_not_named() -> None:
     assert found.verdict == "ambiguous"
     assert [rival.name for rival in found.rivals] == ["backlash"]
     (doubt,) = found.doubts
-    assert f"only the pose at {theta_deg[30]:.4g}°" in doubt
+    assert f"only the pose at {theta_deg[30]:.4g}° tells it from backlash of the stage" in doubt
 
 
 def test_what_moves_of_many_lengths_decide_stays_named() -> None:

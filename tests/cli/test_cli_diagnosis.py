@@ -11,6 +11,9 @@ import pytest
 from command_line import calrig, reason
 from support import serving
 
+from calrig.cli.output import print_diagnosis
+from calrig.model.diagnosis import Diagnosis
+
 
 @pytest.fixture
 def warming(folder):
@@ -156,6 +159,25 @@ def test_what_was_assumed_is_in_the_document_and_the_residuals_are_drawn(warming
     found = json.loads(calrig("diagnose", warming, "--json", *asked).stdout)
     assert (found["reference"], found["known_periods_deg"]) == ("good", [7.2, 30.0])
     assert "Bias and scale, by angle" in (folder / "left.html").read_text()
+
+
+@pytest.mark.parametrize("reference", ["stage", "good"])
+def test_headings_of_effects_and_rivals_blame_the_stage_only_without_a_good_reference(
+    folder, capsys, reference
+):
+    """Its words alone differ: whose error map corrects a backlash does not."""
+    theta_deg = np.tile([*range(-60, 61, 10), *range(60, -61, -10)], 2)
+    approach = np.tile([1] * 13 + [-1] * 13, 2)
+    reading_deg = theta_deg + 0.1 * approach + np.random.default_rng(2).normal(0.0, 0.01, 52)
+    rows = [f"{t},{y:.5f},{a}" for t, y, a in zip(theta_deg, reading_deg, approach, strict=True)]
+    (folder / "play.csv").write_text("\n".join(["target_deg,reading_deg,approach", *rows]))
+    document = json.loads(calrig("diagnose", "play.csv", "--reference", reference, "--json").stdout)
+    (effect,) = document["effects"]
+    assert (effect["name"], effect["origin"], effect["corrects"]) == ("backlash", "stage", "rig")
+    effect["confusable_with"] = ["stage_eccentricity"]
+    print_diagnosis(Diagnosis.model_validate(document), of_files=True)
+    (heading,) = (line for line in capsys.readouterr().out.splitlines() if "Eccentricity" in line)
+    assert ("stage" in heading, "sensor" in heading) == (reference == "stage", reference == "good")
 
 
 def test_a_figure_as_png_is_drawn_by_a_browser_where_there_is_one(warming, folder):

@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 from calrig.calibration.diagnosis.lack_of_fit import LEVEL, SEVERAL
@@ -110,10 +111,12 @@ def _answer(diagnosis: Document) -> str:
     effects = diagnosis["effects"]
     if not effects:
         return _nothing(diagnosis)
+    is_good = diagnosis.get("reference") == "good"
+    suspects, title = (partial(words, reference_is_good=is_good) for words in (_suspects, _title))
     parts = [
-        ("Indistinguishable by these poses", "; ".join(_each_once(_suspects, _of(effects, "ambiguous")))),
-        ("Not in the catalogue", ", ".join(_each_once(_title, _of(effects, "unnamed")))),
-        ("Identified", ", ".join(_each_once(_title, _of(effects, "named")))),
+        ("Indistinguishable by these poses", "; ".join(_each_once(suspects, _of(effects, "ambiguous")))),
+        ("Not in the catalogue", ", ".join(_each_once(title, _of(effects, "unnamed")))),
+        ("Identified", ", ".join(_each_once(title, _of(effects, "named")))),
     ]
     return ". ".join(f"{what}: {which}" for what, which in parts if which)
 
@@ -203,32 +206,27 @@ def _of(effects: Sequence[Document], verdict: str) -> list[Document]:
     return [effect for effect in effects if effect["verdict"] == verdict]
 
 
-def _title(effect: Document) -> str:
+def _title(effect: Document, *, reference_is_good: bool) -> str:
     """Return the title of an effect for the middle of a sentence."""
     if effect["name"] == UNNAMED:
         return f"something that follows {covariate_of(effect['covariate']).title}{between_runs(effect)}"
-    title = EFFECTS[effect["name"]].title_of(effect.get("origin", ""))
-    return _lower(title) + between_runs(effect)
+    return _words(effect["name"], reference_is_good=reference_is_good) + between_runs(effect)
 
 
-def _lower(title: str) -> str:
-    return title[0].lower() + title[1:]
-
-
-def _suspects(effect: Document) -> str:
+def _suspects(effect: Document, *, reference_is_good: bool) -> str:
     others = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
-    names = " or ".join(_words(name, effect.get("origin", "")) for name in (effect["name"], *others))
-    return names + between_runs(effect)
+    names = (_words(name, reference_is_good=reference_is_good) for name in (effect["name"], *others))
+    return " or ".join(names) + between_runs(effect)
 
 
-def _words(name: str, origin: str) -> str:
-    """Return an effect's name in a sentence; its title where it is the sensor's by a good reference."""
+def _words(name: str, *, reference_is_good: bool) -> str:
+    """Return the title of an effect inside a sentence; `SAME_EFFECT` is such words already."""
     if name == UNNAMED:
         return UNKNOWN_EFFECT
-    known = EFFECTS.get(name)
-    if known is None or origin == known.origin or known.as_sensor is None or origin != "sensor":
+    if name not in EFFECTS:
         return name.replace("_", " ")
-    return _lower(known.as_sensor.title)
+    title = EFFECTS[name].words_by("", reference_is_good=reference_is_good).title
+    return title[0].lower() + title[1:]
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from calrig.calibration.diagnosis.candidates import Candidate, own_columns
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
-from calrig.calibration.diagnosis.report import covariance_with_places, has_size
+from calrig.calibration.diagnosis.report import covariance_with_places, has_size, words_of
 from calrig.calibration.diagnosis.reselection import penalised_criterion
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import fitted_model
@@ -78,17 +78,17 @@ def _without(
             ((rest, other), (fewer, one)), key=lambda pair: penalised_criterion(r, _candidates(pair[0]))
         )
         if penalised_criterion(r, _candidates(kept)) > penalised_criterion(r, _candidates(found)) + MARGIN:
-            told = f"these poses determine its size only without {other.candidate.label}, and need both"
+            told = f"these poses determine its size only without {words_of(r, other.candidate)} and need both"
             return [one.against(other.candidate, told) if f is one else f for f in found]
         dropped = one if kept is rest else other
-        return [_ambiguous_with(f, dropped) if f is left else f for f in kept]
+        return [_ambiguous_with(r, f, dropped) if f is left else f for f in kept]
     return rest
 
 
-def _ambiguous_with(one: SelectedEffect, dropped: SelectedEffect) -> SelectedEffect:
+def _ambiguous_with(r: Responses, one: SelectedEffect, dropped: SelectedEffect) -> SelectedEffect:
     if dropped.candidate.label in {rival.label for rival in one.rivals}:
         return one
-    told = f"these poses determine either it or {dropped.candidate.label}, not both together"
+    told = f"these poses determine either it or {words_of(r, dropped.candidate)}, not both together"
     return one.against(dropped.candidate, told)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from calrig.calibration.diagnosis.candidates import Candidate, coefficients_in, model_columns, rebuilt
 from calrig.calibration.diagnosis.ranking import SAME, SelectedEffect
+from calrig.calibration.diagnosis.report import words_of
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.effects import covariate_of
 from calrig.calibration.poses import Pose, without_unused
@@ -147,7 +148,7 @@ def design(
         has_unit = ANGLE in r.channels and not r.reference_is_good  # an encoder has no face to be turned on
         if by_hand is TURN_THE_UNIT and not has_unit:
             by_hand = OTHER_PLACES
-        suspected = " and ".join(dict.fromkeys(one.words_in(r) for one in trial.separable()))
+        suspected = " and ".join(dict.fromkeys(words_of(r, one) for one in trial.separable()))
         return (
             f"a further run of {MOST_POSES} poses cannot separate {suspected}: expected −2 log likelihood "
             f"between them {separation:.1f}, required {LEAST_SEPARATION:g}; {by_hand}"
@@ -216,7 +217,7 @@ class _Trial:
         unknown = [suspect for suspect, again in zip(self._suspects, there, strict=True) if again is None]
         if len(there) - len(unknown) >= 2:
             return ""
-        untold = " and ".join(dict.fromkeys(one.words_in(r) for one in unknown))
+        untold = " and ".join(dict.fromkeys(words_of(r, one) for one in unknown))
         return f"these poses do not say what {untold} does in others"
 
     def _with(self, elevations_deg: Sequence[float], wait_s: float) -> Responses:

@@ -21,7 +21,7 @@ from calrig.calibration.diagnosis.candidates import Candidate, model_columns, ow
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
-from calrig.calibration.diagnosis.report import left_deg, slopes_of_errors
+from calrig.calibration.diagnosis.report import left_deg, slopes_of_errors, words_of
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
@@ -173,13 +173,17 @@ def without_harm(
         fewer = [[f for f in found if f is not one] for one in found]
         found = min(fewer, key=lambda those: rms(errors(those)))
         again = refitted(found)
-    dropped = [f.candidate.label for f in findings.found if f not in found]
+    dropped = [words_of(r, f.candidate) for f in findings.found if f not in found]
     if not dropped:
         return findings, again, []
     which, before_deg, after_deg = harm
+    it = "it" if len(dropped) == 1 else "them"
+    why = f"the error on {which} is no smaller with {it}"
+    if which == "fitted poses":
+        why = f"with {it} the model leaves no less of the poses it was fitted to than bias and scale alone"
     warning = (
-        f"{', '.join(dropped)}: significant, but not listed, since the error on {which} is no smaller "
-        f"with it: RMS {before_deg:#.3g}° before and {after_deg:#.3g}° after"
+        f"{', '.join(dropped)}: significant, but not listed, since {why}: "
+        f"RMS {before_deg:#.3g}° before and {after_deg:#.3g}° after"
     )
     return with_effects(findings, found), again, [warning]
 
@@ -470,8 +474,8 @@ def _doubted(r: Responses, claimed: SelectedEffect, others: Sequence[Candidate])
     for rival in claimed.runners_up:
         pose = _decisive(r, others, claimed.candidate, rival)
         if pose is not None:
-            told = f"only the pose at {r.theta_deg[pose]:.4g}° tells it from {rival.name}: the rest does not"
-            doubted = doubted.against(rival, told)
+            only = f"only the pose at {r.theta_deg[pose]:.4g}°"
+            doubted = doubted.against(rival, f"{only} tells it from {words_of(r, rival)}: the rest does not")
     return doubted
 
 

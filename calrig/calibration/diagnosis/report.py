@@ -219,6 +219,15 @@ def model_words(findings: Findings) -> str:
     return " + ".join(["reading = bias + scale·θ", *several])
 
 
+def words_of(r: Responses, candidate: Candidate) -> str:
+    """Return what a sentence calls a candidate of these poses: its title, as its heading has it."""
+    covariate = candidate.covariate
+    words = candidate.effect.words_by(covariate, reference_is_good=r.reference_is_good)
+    title = f"{words.title[0].lower()}{words.title[1:]}"
+    of = "" if candidate.named else f" that follows {covariate_of(covariate).title}"
+    return f"{title}{of}{in_words(candidate.changed)}"
+
+
 def _whole_form(r: Responses, candidate: Candidate) -> Candidate:
     """Return the form with all of an effect's parameters, where one of its parts sufficed to find it."""
     whole = candidate.shape.part_of and rebuilt(candidate, r, candidate.shape.part_of)
@@ -230,12 +239,12 @@ def _document(
 ) -> dict[str, Any]:
     effect = candidate.effect
     beta, covariance = fitted.beta[at], fitted.covariance[at, at]
-    of_sensor = effect.as_sensor if candidate.is_of_sensor(r) else None
+    words = effect.words_by(candidate.covariate, reference_is_good=r.reference_is_good)
     parameters = effect.documented(candidate.shape, beta, covariance)
     return {
         "name": candidate.name,
         "verdict": found.verdict,
-        "origin": "sensor" if of_sensor is not None else effect.origin,
+        "origin": "sensor" if candidate.is_of_sensor(r) else effect.origin,
         "covariate": candidate.covariate,
         "parameters": parameters,
         # a curve that another undoes in part is no correction by itself
@@ -248,7 +257,7 @@ def _document(
             *maximum_words(candidate.shape, parameters),
             *filter(None, [together]),
         ],
-        "remedy": (of_sensor or effect).remedy,
+        "remedy": words.remedy,
         "considered": [
             {"name": label, "behind": behind, "why": _why(found, label, behind)}
             for label, behind in found.considered
@@ -307,7 +316,7 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
     said += _same_elsewhere(found, candidate)
     if candidate.named and math.isfinite(found.lead):
         if found.rivals:
-            names = ", ".join(dict.fromkeys(rival.words_in(r) for rival in found.rivals))
+            names = ", ".join(dict.fromkeys(words_of(r, rival) for rival in found.rivals))
             alone = found.candidate.effect.told_apart(has_accelerometer=ANGLE in r.channels)
             apart = ONE_CURVE if found.is_one_curve(r) else alone
             said.append(f"indistinguishable from {names} by these poses: {apart}")

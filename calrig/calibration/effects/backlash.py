@@ -19,6 +19,7 @@ from calrig.calibration.regression.effect import (
     NotInFlight,
     Parameter,
     Parameters,
+    SensorTerm,
     Shape,
 )
 from calrig.calibration.regression.motion import slack_deg
@@ -108,4 +109,8 @@ EFFECT = Effect(
     apart="random order tells it from settling, reversals smaller than it from hysteresis of the mount",
     remedy="approach every elevation from the same side, or preload the gear with a spring",
     possible=_possible,
+    as_sensor=SensorTerm(
+        "Hysteresis of sensor or coupling",
+        "approach every elevation from the same side, or take up the play of coupling, gear and mount",
+    ),
 )

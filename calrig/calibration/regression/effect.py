@@ -271,7 +271,7 @@ class NotInFlight:
 
 @dataclass(frozen=True, slots=True)
 class SensorTerm:
-    """A periodic or smooth term of the angle: what it is called, and what to do, if the reference is good."""
+    """What an effect is called, and what to do, if the reference is good."""
 
     title: str
     remedy: str
@@ -320,7 +320,7 @@ class Effect:
         possible: whether coefficients are any that the physics allows.
         follows: offered by itself only once this effect is in the model.
         together_with: effects that it is offered together with, as one: each alone may look like noise.
-        as_sensor: of a periodic or smooth term of the angle: the unit's own if the reference is good.
+        as_sensor: its words if the reference is good; a term of the angle is then the unit's own.
     """
 
     name: str
@@ -377,6 +377,13 @@ class Effect:
         """Return its title where it is of an origin: a term of the angle has another one of the sensor."""
         of_sensor = self.as_sensor is not None and origin == "sensor" and self.origin != "sensor"
         return self.as_sensor.title if of_sensor and self.as_sensor else self.title
+
+    def words_by(self, covariate: str, *, reference_is_good: bool) -> SensorTerm:
+        """Return what it is called and what to do; a shape without a name has a covariate of its own."""
+        is_other = self.origin == "unknown" and covariate != ELEVATION.name
+        if reference_is_good and self.as_sensor and not is_other:
+            return self.as_sensor
+        return SensorTerm(self.title, self.remedy)
 
     def turns_the_sensor(self, parameters: Parameters) -> bool:
         """Return whether an applied effect turns the sensor itself."""
