@@ -105,6 +105,16 @@ def test_where_neither_dwells_nor_revisits_tell_the_pure_error_nothing_is_claime
     jittered = TARGETS_DEG + np.random.default_rng(6).uniform(-2.0, 2.0, len(TARGETS_DEG))
     lack = held(noise(7), targets_deg=jittered)
     assert (lack.pure, lack.p_value, lack.rejects) == (None, None, False)
+    assert warning_of(lack, found=False, temperature=False) is None
+
+
+def test_a_slow_rest_is_said_though_nothing_tells_the_pure_error() -> None:
+    jittered = TARGETS_DEG + np.random.default_rng(6).uniform(-2.0, 2.0, len(TARGETS_DEG))
+    lack = held(noise(7) + drift(), targets_deg=jittered)
+    told = warning_of(lack, found=False, temperature=False)
+    assert lack.pure is None
+    assert told is not None
+    assert f"correlated by {lack.lag1_correlation:.2f}" in told
 
 
 def test_the_residual_has_a_degree_of_freedom_less_for_each_parameter() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import lru_cache, reduce
 from itertools import accumulate, combinations
 
 import numpy as np
@@ -30,6 +30,8 @@ MOST_COLUMNS = 0.2
 """To a pose, of a series offered as one: more of them explain any poses at all."""
 CHOICE_OF_RUNS = 2
 """Parameters that it counts as, to choose the runs that have an effect."""
+KEPT = 32
+"""Effects whose further terms a search may ask for again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,10 +127,6 @@ class Candidate:
     def is_of_sensor(self, r: Responses) -> bool:
         """Return whether it is the sensor's only because the reference of these poses is good."""
         return self.effect.is_of_sensor(self.covariate, reference_is_good=r.reference_is_good)
-
-    def words_in(self, r: Responses) -> str:
-        """Return its title inside a sentence, as what it is in these poses."""
-        return self.effect.words_of("sensor" if self.is_of_sensor(r) else self.effect.origin)
 
     def is_smooth_of_sensor(self, r: Responses) -> bool:
         """Return whether it is a smooth or periodic term of the angle that belongs to the sensor."""
@@ -241,15 +239,20 @@ def harmonics_of(r: Responses, accepted: Sequence[Candidate]) -> list[Candidate]
     found = []
     for first in accepted:
         if first.changed is None:
-            terms = [
-                candidate_of(r, first.effect, shape)
-                for at in first.effect.harmonics(r, first.shape)
-                for shape in first.effect.forms(r, at)
-                if first.effect.carried(r, shape)
-            ]
-            terms = [c for c in terms if all(c.is_distinct(r, other) for other in accepted)]
+            terms = [c for c in further_terms(r, first) if all(c.is_distinct(r, o) for o in accepted)]
             found += [*terms, *_series(r, terms)]
     return found
+
+
+@lru_cache(maxsize=KEPT)
+def further_terms(r: Responses, first: Candidate) -> list[Candidate]:
+    """Return the further terms of one cause, such as the harmonics of a worm, once the first is found."""
+    return [
+        candidate_of(r, first.effect, shape)
+        for at in first.effect.harmonics(r, first.shape)
+        for shape in first.effect.forms(r, at)
+        if first.effect.carried(r, shape)
+    ]
 
 
 def orders_beside(

@@ -27,6 +27,10 @@ from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
+SLOW, FAR = 0.3, 4.0
+"""Correlation from pose to pose of what is slow, at least; and in standard errors of that of white noise."""
+WANDERS = 1.5
+"""Times one error, another is more than that."""
 SEVERAL = 2.0
 """Times the pure error: a residual as large is spoken of also where few poses let no test reject."""
 SAME_TARGET_DEG = 0.05
@@ -79,6 +83,11 @@ class LackOfFit:
         """Whether the residual is more than the pure error, by test or by size."""
         significant = self.p_value is not None and self.p_value < LEVEL
         return significant or (self.ratio is not None and self.ratio >= SEVERAL)
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether the residual is correlated from pose to pose, far beyond what white noise may be."""
+        return self.lag1_correlation >= max(SLOW, FAR / math.sqrt(self.residual.freedom))
 
 
 def lack_of_fit(
@@ -207,19 +216,22 @@ def warning_of(lack: LackOfFit, *, found: bool, temperature: bool) -> str | None
         found: whether an effect is in it.
         temperature: whether the poses have one.
     """
+    those = "the effects" if found else "bias and scale"
+    if lack.pure is None and lack.is_slow:
+        return (
+            f"no pose tells how large the noise is, but what {those} leave hardly changes from pose to pose: "
+            f"RMS {angle_text(lack.residual.std_deg)}, correlated by {lack.lag1_correlation:.2f}. Noise that "
+            f"wanders, or an effect that these poses do not tell from it; {_experiment(lack, temperature)}"
+        )
     if not lack.rejects or lack.pure is None:
         return None
-    rest = f"{'the effects' if found else 'bias and scale'} leave more than the noise of a pose"
+    rest = f"{those} leave more than the noise of a pose"
     test = f"F = {lack.f:.3g} with {lack.freedom[0]:.0f} and {lack.freedom[1]:.0f} degrees of freedom"
     return (
         f"lack of fit: {rest}: RMS {angle_text(lack.residual.std_deg)}, {lack.ratio:.1f} times the "
         f"pure error of {angle_text(lack.pure.std_deg)} ({test}), correlated by {lack.lag1_correlation:.2f} "
         f"from pose to pose; {_experiment(lack, temperature)}"
     )
-
-
-SLOW = 0.3
-WANDERS = 1.5
 
 
 def _experiment(lack: LackOfFit, temperature: bool) -> str:

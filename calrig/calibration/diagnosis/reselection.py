@@ -50,14 +50,20 @@ class Rivals:
     Attributes:
         labels: of competing candidates, by the label of the effect.
         places: keys of scanned candidates that compete with any of the effects.
+        beside_curve: whether it searched first for what no free curve explains.
     """
 
     labels: Mapping[str, Collection[str]]
     places: Collection[object]
+    beside_curve: bool
 
 
 def competing_candidates(
-    r: Responses, candidates: Sequence[Candidate], found: Sequence[SelectedEffect]
+    r: Responses,
+    candidates: Sequence[Candidate],
+    found: Sequence[SelectedEffect],
+    *,
+    beside_curve: bool = False,
 ) -> Rivals:
     """Return the competing candidates of the selected effects: those within ΔBIC 80 on all poses.
 
@@ -68,6 +74,7 @@ def competing_candidates(
         r: the poses.
         candidates: of these poses.
         found: the effects of the final model.
+        beside_curve: whether they were searched for first beside a free curve.
     """
     labels = [f.candidate.label for f in found]
     every = {*labels, *(" + ".join(two) for two in permutations(labels, 2))}
@@ -83,7 +90,7 @@ def competing_candidates(
             ratios = Screen(r, model.columns, several, model.fitted.noise).once(model.fitted.residuals)
             close = np.flatnonzero(ratios >= COMPETING_SHARE * ratios[-1])
             places.update(_key(several[k]) for k in close.tolist())
-    return Rivals(near, places)
+    return Rivals(near, places, beside_curve)
 
 
 def _is_scanned(candidate: Candidate) -> bool:

@@ -265,6 +265,7 @@ class Findings:
         columns: (m, J, p) of the model.
         least_p_value: the smallest that the bootstrap could have given.
         noises: null distributions drawn on the way, by model.
+        beside_curve: whether what no free curve explains was searched for first.
     """
 
     responses: Responses
@@ -274,6 +275,7 @@ class Findings:
     columns: FloatArray
     least_p_value: float
     noises: Noises = field(default_factory=dict)
+    beside_curve: bool = False
 
 
 def search(
@@ -329,30 +331,51 @@ def _search_one_run(
 ) -> Findings:
     """Search one run; if too much is left, search again, first for what no free curve explains.
 
-    The model of the smaller penalised criterion on the same poses is returned.
+    The model of the smaller penalised criterion on the same poses is returned. A fold takes the way that the
+    search of all poses took.
     """
+    if rivals is not None and rivals.beside_curve:
+        again = _beside_free_curve(r, candidates, judge, rivals, noises)
+        if again is not None:
+            return again
     first = _search(r, candidates, partial(judge, level=AT_FIRST * LEVEL), rivals=rivals, noises=noises)
-    r = r.rows(first.kept)
-    free = with_free_curve(r)
-    if free is None or not leaves_more(r, first.fitted.residuals[:, 0]):
+    r = first.responses
+    if rivals is not None or not leaves_more(r, first.fitted.residuals[:, 0]):
         return first
-    offered = [c.rows(first.kept) for c in candidates]
-    others = [c for c in offered if not is_of_the_curve(c)]
+    again = _beside_free_curve(r, [c.rows(first.kept) for c in candidates], judge, rivals, noises)
+    if again is None:
+        return first
+    drawn = {**again.noises, **first.noises}
+    if len(again.kept) < len(r) or _criterion(again) >= _criterion(first):
+        return replace(first, noises=drawn)
+    return replace(again, kept=first.kept[again.kept], noises=drawn)
+
+
+def _beside_free_curve(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    judge: Callable[..., Verdict],
+    rivals: Rivals | None,
+    noises: Noises,
+) -> Findings | None:
+    """Search first for what no free curve explains, then for curves; None where poses are too few."""
+    free = with_free_curve(r)
+    if free is None:
+        return None
+    others = [c for c in candidates if not is_of_the_curve(c)]
     judge = partial(judge, level=(1.0 - AT_FIRST) * LEVEL)
     between = _search(free, others, judge, rivals=rivals, noises=noises)
-    r, curves = r.rows(between.kept), [c.rows(between.kept) for c in offered if is_of_the_curve(c)]
+    kept = between.kept
+    curves = [c.rows(kept) for c in candidates if is_of_the_curve(c)]
     judge = partial(judge, noise=_noise_left_by(between))
-    again = _search(r, curves, judge, between.found, rivals, noises)
-    kept, curves = again.kept, [c.rows(again.kept) for c in curves]
+    again = _search(r.rows(kept), curves, judge, between.found, rivals, noises)
+    kept, curves = kept[again.kept], [c.rows(again.kept) for c in curves]
     bent = _with_curves(again, curves, len(between.found))
     if not _are_same(bent.found, again.found):  # beside a curve more may be seen
         known, begun = bent.found[: len(between.found)], bent.found[len(between.found) :]
         more = _search(bent.responses, curves, judge, known, rivals, noises, begun)
         again, kept = replace(more, noises={**more.noises, **again.noises}), kept[more.kept]
-    drawn = {**again.noises, **between.noises, **first.noises}
-    first = replace(first, noises=drawn)
-    again = replace(again, kept=first.kept[between.kept][kept], noises=drawn)
-    return again if len(again.kept) == len(first.kept) and _criterion(again) < _criterion(first) else first
+    return replace(again, kept=kept, noises={**again.noises, **between.noises}, beside_curve=True)
 
 
 def _are_same(found: Sequence[SelectedEffect], others: Sequence[SelectedEffect]) -> bool:

@@ -394,11 +394,6 @@ class Effect:
         for at in ({},) if self.scan is None else self.scan(r):
             yield from (shape for shape in self.forms(r, at) if self.carried(r, shape))
 
-    def words_of(self, origin: str) -> str:
-        """Return the title inside a sentence, where the effect is of an origin."""
-        title = self.title_of(origin)
-        return f"{title[0].lower()}{title[1:]}"
-
     def told_apart(self, *, has_accelerometer: bool) -> str:
         """Return what separates it from its look-alikes, by what the poses have."""
         return "; ".join(filter(None, (self.seen_by_gravity * has_accelerometer, self.apart)))
