@@ -100,7 +100,7 @@ function suspects(effect) {
 
 function considered(effect) {
   const rows = effect.considered.map(({ name, behind, why }) =>
-    tableRow(candidateWords(name), [numberCell(significant(behind, 3)), why ?? "–"]),
+    tableRow(candidateWords(name, effect.origin), [numberCell(significant(behind, 3)), why ?? "–"]),
   );
   return h(
     "details",

@@ -15,20 +15,21 @@ export function effectTitle({ name, covariate, origin }) {
   if (name === "unnamed") return `Something that follows ${covariateWords(covariate)}`;
   const known = catalogue.get(name);
   const ofSensor = origin === "sensor" && known?.origin !== "sensor";
-  return (ofSensor && known?.sensor_title) || (known?.title ?? words(name));
+  return (ofSensor && known?.sensor_title) || (known?.title ?? name.replaceAll("_", " "));
 }
 
-/** A candidate's name, such as `unnamed time_s`, inside a sentence or a table. */
-export function candidateWords(label) {
+/** A candidate's name, such as `unnamed time_s`, inside a sentence or a table, beside an effect of some origin. */
+export function candidateWords(label, origin) {
   const [, kind, changed = ""] = /^(.*?)( from run .* to run .*)?$/.exec(label);
   const [, covariate] = /^unnamed (.*)$/.exec(kind) ?? [];
-  return (covariate === undefined ? words(kind) : `a shape of ${covariateWords(covariate)}`) + changed;
+  const known = kind.split(" + ").map((name) => words(name, origin));
+  return (covariate === undefined ? known.join(" + ") : `a shape of ${covariateWords(covariate)}`) + changed;
 }
 
 /** What an ambiguous effect may be; by another period of its own if only the spacing of the poses could tell them. */
-export function suspectWords({ name, confusable_with: others }) {
-  const rivals = others.map((other) => (other === name ? "the same at another period" : candidateWords(other)));
-  return [candidateWords(name), ...rivals].join(" or ");
+export function suspectWords({ name, origin, confusable_with: others }) {
+  const shown = (other) => (other === name ? "the same at another period" : candidateWords(other, origin));
+  return [candidateWords(name, origin), ...others.map(shown)].join(" or ");
 }
 
 export function covariateWords(covariate) {
@@ -88,7 +89,7 @@ function known({ name, parameters, covariate }) {
   return Object.entries(parameters)
     .filter(([key, found]) => found !== null && !titles.get(key)?.flag)
     .map(([key, found]) => {
-      const { title, unit } = titles.get(key) ?? { title: words(key), unit: "" };
+      const { title, unit } = titles.get(key) ?? { title: key.replaceAll("_", " "), unit: "" };
       return { ...found, name: key, title, unit: unit ?? following(covariate)?.covariate_unit ?? "" };
     });
 }
@@ -107,6 +108,8 @@ function following(covariate) {
   return [...catalogue.values()].find((effect) => effect.covariate === covariate);
 }
 
-function words(name) {
-  return name === "unnamed" ? "an unknown effect" : name.replaceAll("_", " ");
+function words(name, origin) {
+  if (name === "unnamed") return "an unknown effect";
+  const title = effectTitle({ name, origin });
+  return title[0].toLowerCase() + title.slice(1);
 }

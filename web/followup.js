@@ -28,7 +28,7 @@ function outcome({ status, diagnosis, voided, error }) {
   if (UNDER_WAY.has(status)) return `${status}; its diagnosis will be of both runs together.`;
   if (status !== "completed") return `${status}, without an answer. ${error ?? ""}`;
   if (!diagnosis) return "completed; open it to diagnose both runs together.";
-  const found = diagnosis.effects.map(({ name, verdict }) => `${candidateWords(name)} (${verdict})`);
+  const found = diagnosis.effects.map(({ name, origin, verdict }) => `${candidateWords(name, origin)} (${verdict})`);
   return `joint diagnosis of both runs: ${found.join(", ") || "no effect"}.`;
 }
 
@@ -89,7 +89,7 @@ function motion({ separates, plan }) {
   const ends = [Math.min(...plan.elevations_deg), Math.max(...plan.elevations_deg)].map((end) => fixed(end, 1, "°"));
   const poses = plural(plan.elevations_deg.length * plan.sweeps, "pose");
   const waits = plan.wait_s > 0 ? `, with a wait of ${duration(plan.wait_s)} before each of ${plan.sweeps} sweeps` : "";
-  const names = separates.map(candidateWords).join(" from ");
+  const names = separates.map((name) => candidateWords(name)).join(" from ");
   return `A follow-up run distinguishes ${names}. It moves the stage from ${ends.join(" to ")}: ${poses}${waits}.`;
 }
 

@@ -243,7 +243,7 @@ def test_a_period_that_even_steps_do_not_tell_from_another_is_no_name_twice(page
     client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status()
     go(f"#/runs/{run['id']}")
     suspects = page.locator("[data-effect=stage_periodic] .suspects")
-    expect(suspects).to_have_text("May be stage periodic or the same at another period.")
+    expect(suspects).to_have_text("May be periodic error of the stage or the same at another period.")
 
 
 def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, expect, monkeypatch):
@@ -254,7 +254,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     found = client.get(f"/api/runs/{run['id']}/diagnosis").json()
     planned = found["follow_up"]
     line = page.locator("[data-effect=backlash]")
-    expect(line.locator(".suspects")).to_have_text("May be backlash or settling.")
+    expect(line.locator(".suspects")).to_have_text("May be backlash of the stage or incomplete settling.")
     expect(line.locator("summary").first).to_contain_text("not decided")
     box = line.locator(".follow-up")
     least, most = (f"{end(planned['plan']['elevations_deg']):.1f}°".replace("-", "−") for end in (min, max))
@@ -296,7 +296,8 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
 
     page.locator("#follows a").click()
     answered = page.locator("#followed-by")
-    expect(answered).to_contain_text(re.compile(rf"Run {short_name(second['id'])}: .*backlash \(named\)"))
+    told = re.compile(rf"Run {short_name(second['id'])}: .*backlash of the stage \(named\)")
+    expect(answered).to_contain_text(told)
     expect(page.locator("#follow-up")).to_have_count(0)
 
 
