@@ -10,10 +10,10 @@ import re
 from datetime import datetime
 from typing import Any
 
-from sqlmodel import Column, Field, Index, LargeBinary, SQLModel
+from sqlmodel import Column, Field, Index, LargeBinary
 
 from calrig.store.checksums import CheckedJson
-from calrig.store.tables import Sha256, UtcText
+from calrig.store.tables import Sha256, Table, UtcText
 
 BENCH_NAME = re.compile(r"[A-Za-z0-9_.-]{1,20}")
 """Of a bench, which is part of its role's name: PostgreSQL keeps 63 bytes of one."""
@@ -25,14 +25,12 @@ it delivers for. A bench is accepted whose protocol and schema are the centre's.
 """
 
 
-class BenchTable(SQLModel, table=True):
+class BenchTable(Table, table=True):
     """A bench that has joined: its database role, and what it last said of itself.
 
     The database judges each report: `refused` is why it takes no orders, null where it does; `bears` are the
     names of its rigs (JSON), null where another bench has one of them.
     """
-
-    __tablename__ = "bench"
 
     name: str = Field(primary_key=True)
     hall: str | None = None
@@ -47,13 +45,12 @@ class BenchTable(SQLModel, table=True):
     refused: str | None = None
 
 
-class RunOrderTable(SQLModel, table=True):
+class RunOrderTable(Table, table=True):
     """What a bench is to do with a run: only the newest epoch counts, and only what is newer than taken.
 
     An epoch that is not newer than `held_epoch` waits for a person's word, who orders it anew.
     """
 
-    __tablename__ = "run_order"
     __table_args__ = (Index("ix_run_order_bench", "bench"),)
 
     run_uid: str = Field(primary_key=True)
@@ -67,13 +64,12 @@ class RunOrderTable(SQLModel, table=True):
     ordered_at: datetime = Field(sa_type=UtcText)
 
 
-class BenchCommandTable(SQLModel, table=True):
+class BenchCommandTable(Table, table=True):
     """Stop, abort, pause or resume, asked of a bench while somebody waits for the answer; or a look.
 
     A stop stays until the bench has answered it or somebody withdraws it, the others for seconds.
     """
 
-    __tablename__ = "bench_command"
     __table_args__ = (Index("ix_bench_command_bench", "bench"),)
 
     id: int = Field(default=None, primary_key=True)
@@ -88,10 +84,9 @@ class BenchCommandTable(SQLModel, table=True):
     answer: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
 
 
-class ParcelTable(SQLModel, table=True):
+class ParcelTable(Table, table=True):
     """What a bench has delivered and nobody has unpacked yet."""
 
-    __tablename__ = "parcel"
     __table_args__ = (Index("ix_parcel_bench_seq", "bench", "seq", unique=True),)
 
     id: int = Field(default=None, primary_key=True)
@@ -103,20 +98,16 @@ class ParcelTable(SQLModel, table=True):
     delivered_at: datetime = Field(sa_type=UtcText)
 
 
-class TakenOrderTable(SQLModel, table=True):
+class TakenOrderTable(Table, table=True):
     """On a bench: the newest epoch of a run that it has acted on, and the order of it."""
-
-    __tablename__ = "taken_order"
 
     run_uid: str = Field(primary_key=True)
     epoch: int
     document: dict[str, Any] = Field(sa_type=CheckedJson)
 
 
-class DeliveryTable(SQLModel, table=True):
+class DeliveryTable(Table, table=True):
     """On a bench: how far a run has been delivered to the centre."""
-
-    __tablename__ = "delivery"
 
     run_uid: str = Field(primary_key=True)
     event_seq: int

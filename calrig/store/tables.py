@@ -5,10 +5,12 @@ A change here needs a migration in migrations/versions; a test compares the two.
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import BigInteger, Dialect, ForeignKeyConstraint, Integer, String, TypeDecorator, text
+from sqlalchemy.orm import declared_attr
 from sqlmodel import Column, Field, ForeignKey, Index, LargeBinary, SQLModel
 
 from calrig.model.run import PoseColumns
@@ -46,22 +48,27 @@ def _where(condition: str) -> dict[str, Any]:
     return {"sqlite_where": text(condition), "postgresql_where": text(condition)}
 
 
-class UnitTable(SQLModel, table=True):
-    """A sensor by its serial number."""
+class Table(SQLModel):
+    """A table by the name of its class: of `RunOrderTable` it is `run_order`."""
 
-    __tablename__ = "unit"
+    @declared_attr.directive
+    def __tablename__(cls) -> str:  # noqa: N805 (of the class)
+        return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", cls.__name__.removesuffix("Table")).lower()
+
+
+class UnitTable(Table, table=True):
+    """A sensor by its serial number."""
 
     serial: str = Field(primary_key=True)
     created_at: datetime = Field(sa_type=UtcText)
 
 
-class RunTable(SQLModel, table=True):
+class RunTable(Table, table=True):
     """A run. Documents that are only ever shown whole are JSON.
 
     `id` is the store's own key, which the other tables refer to; everybody else knows the run by `uid`.
     """
 
-    __tablename__ = "run"
     __table_args__ = (
         Index("ix_run_uid", "uid", unique=True),
         # a page of the list, newest first, reads no others: of all runs, of a unit, of a rig, of a status
@@ -101,10 +108,8 @@ class RunTable(SQLModel, table=True):
     error: str | None = None
 
 
-class CalibrationTable(SQLModel, table=True):
+class CalibrationTable(Table, table=True):
     """The figures of a run's result once more, narrow, so that a comparison reads no JSON."""
-
-    __tablename__ = "calibration"
 
     run_id: int = Field(primary_key=True, foreign_key="run.id")
     bias_deg: float
@@ -119,13 +124,11 @@ class CalibrationTable(SQLModel, table=True):
     crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
-class VerdictFiguresTable(Figures, SQLModel, table=True):
+class VerdictFiguresTable(Figures, Table, table=True):
     """A run's `calrig.model.verdict.VerdictFigures`, and the hash of the program text that computed them.
 
     Written with the run's row by `calrig.store.verdicts`. Rows that are not computed yet have no figures.
     """
-
-    __tablename__ = "verdict_figures"
 
     run_id: int = Field(primary_key=True, foreign_key="run.id")
     program: str
@@ -134,10 +137,8 @@ class VerdictFiguresTable(Figures, SQLModel, table=True):
     relied_on: bool | None = None
 
 
-class PoseTable(PoseColumns, SQLModel, table=True):
+class PoseTable(PoseColumns, Table, table=True):
     """A pose: CONTRACT section 4's columns, `pass` as `sweep`."""
-
-    __tablename__ = "pose"
 
     run_id: int = Field(primary_key=True, foreign_key="run.id")
     pose_index: int = Field(primary_key=True)
@@ -149,10 +150,9 @@ class PoseTable(PoseColumns, SQLModel, table=True):
     crc32: int | None = Field(default=None, sa_type=Crc32)
 
 
-class EventTable(SQLModel, table=True):
+class EventTable(Table, table=True):
     """What was announced, in order; many small rows, hence clustered by their key."""
 
-    __tablename__ = "event"
     __table_args__ = ({"sqlite_with_rowid": False},)
 
     run_id: int = Field(primary_key=True, foreign_key="run.id")
@@ -162,10 +162,9 @@ class EventTable(SQLModel, table=True):
     at: datetime = Field(sa_type=UtcText)
 
 
-class SampleBlockTable(SQLModel, table=True):
+class SampleBlockTable(Table, table=True):
     """Raw samples of one move or dwell: a compressed npz with the arrays of `records.SampleBlock`."""
 
-    __tablename__ = "sample_block"
     __table_args__ = (Index("ix_sample_block_run_id_pose_index", "run_id", "pose_index"),)
 
     id: int = Field(default=None, primary_key=True)
@@ -176,10 +175,9 @@ class SampleBlockTable(SQLModel, table=True):
     data: bytes = Field(sa_column=Column(LargeBinary, nullable=False))
 
 
-class AcceptedEffectTable(SQLModel, table=True):
+class AcceptedEffectTable(Table, table=True):
     """An effect that a person accepted: of a unit (applied in flight) or of a rig (its error map)."""
 
-    __tablename__ = "accepted_effect"
     __table_args__ = (Index("ix_accepted_effect_unit", "unit"), Index("ix_accepted_effect_rig", "rig"))
 
     id: int = Field(default=None, primary_key=True)
@@ -194,10 +192,9 @@ class AcceptedEffectTable(SQLModel, table=True):
     fit: dict[str, Any] | None = Field(default=None, sa_type=CheckedJson)
 
 
-class TranscriptTable(SQLModel, table=True):
+class TranscriptTable(Table, table=True):
     """What went over a wire in the last minute before a run failed: compressed text."""
 
-    __tablename__ = "transcript"
     __table_args__ = (Index("ix_transcript_run_id", "run_id"),)
 
     id: int = Field(default=None, primary_key=True)
@@ -206,20 +203,17 @@ class TranscriptTable(SQLModel, table=True):
     data: bytes = Field(sa_column=Column(LargeBinary, nullable=False))
 
 
-class StagePlaceTable(SQLModel, table=True):
+class StagePlaceTable(Table, table=True):
     """Where the stage of a rig stands that cannot look for its reference; null while it is not known."""
-
-    __tablename__ = "stage_place"
 
     rig: str = Field(primary_key=True)
     stage_deg: float | None
     at: datetime = Field(sa_type=UtcText)
 
 
-class IssuedCalibrationTable(SQLModel, table=True):
+class IssuedCalibrationTable(Table, table=True):
     """A revision of a unit's calibration: its bytes never change; its status is beside them."""
 
-    __tablename__ = "issued_calibration"
     __table_args__ = (
         Index("ix_issued_calibration_in_force", "unit", unique=True, **_where("status = 'in_force'")),
         Index("ix_issued_calibration_run_id", "run_id"),
@@ -238,7 +232,7 @@ class IssuedCalibrationTable(SQLModel, table=True):
     reason: str | None = None
 
 
-class CertificateTable(SQLModel, table=True):
+class CertificateTable(Table, table=True):
     """A certificate as it was issued: its bytes never change.
 
     `trail_seq` and `trail_sha256` are the head of the trail when it was issued, 0 and `FIRST` of none; the
@@ -246,7 +240,6 @@ class CertificateTable(SQLModel, table=True):
     earlier row, without a foreign key: moved rows come in the order of their numbers.
     """
 
-    __tablename__ = "certificate"
     __table_args__ = (
         ForeignKeyConstraint(
             ["unit", "revision"], ["issued_calibration.unit", "issued_calibration.revision"]
@@ -269,13 +262,12 @@ class CertificateTable(SQLModel, table=True):
     dcc: bytes = Field(sa_column=Column(LargeBinary, nullable=False))
 
 
-class TrailTable(SQLModel, table=True):
+class TrailTable(Table, table=True):
     """Who did what, when and why: rows are added and never changed, each chained to the one before.
 
     `run_id` is what everybody knows the run by.
     """
 
-    __tablename__ = "trail"
     __table_args__ = (Index("ix_trail_unit", "unit"),)
 
     seq: int = Field(default=None, primary_key=True)
@@ -291,7 +283,7 @@ class TrailTable(SQLModel, table=True):
     sha256: str = Field(sa_type=Sha256)
 
 
-class LimitTable(SQLModel, table=True):
+class LimitTable(Table, table=True):
     """A limit in the order that limits are tried in: the first that matches a unit counts."""
 
     __tablename__ = "limit_rule"
@@ -301,10 +293,8 @@ class LimitTable(SQLModel, table=True):
     document: dict[str, Any] = Field(sa_type=CheckedJson)
 
 
-class UserTable(SQLModel, table=True):
+class UserTable(Table, table=True):
     """A person or program that is known: role, and the hash of its token (null: known by a proxy only)."""
-
-    __tablename__ = "user"
 
     name: str = Field(primary_key=True)
     role: str
@@ -313,10 +303,8 @@ class UserTable(SQLModel, table=True):
     disabled_at: datetime | None = Field(default=None, sa_type=UtcText)
 
 
-class CheckUnitTable(SQLModel, table=True):
+class CheckUnitTable(Table, table=True):
     """The unit by which a rig is checked, and how often."""
-
-    __tablename__ = "check_unit"
 
     rig: str = Field(primary_key=True)
     unit: str = Field(foreign_key="unit.serial")
@@ -324,10 +312,9 @@ class CheckUnitTable(SQLModel, table=True):
     named_at: datetime = Field(sa_type=UtcText)
 
 
-class ItemTable(SQLModel, table=True):
+class ItemTable(Table, table=True):
     """What was said of a unit as it came: the last row counts."""
 
-    __tablename__ = "item"
     __table_args__ = (Index("ix_item_unit", "unit"),)
 
     id: int = Field(default=None, primary_key=True)
@@ -336,10 +323,9 @@ class ItemTable(SQLModel, table=True):
     at: datetime = Field(sa_type=UtcText)
 
 
-class BatchTable(SQLModel, table=True):
+class BatchTable(Table, table=True):
     """A list of units that are calibrated one after the other; `document` is what holds of all of them."""
 
-    __tablename__ = "batch"
     __table_args__ = (Index("ix_batch_created_at", "created_at"),)
 
     id: str = Field(primary_key=True)
@@ -348,10 +334,8 @@ class BatchTable(SQLModel, table=True):
     document: dict[str, Any] = Field(sa_type=CheckedJson)
 
 
-class BatchUnitTable(SQLModel, table=True):
+class BatchUnitTable(Table, table=True):
     """A unit's turn in a list: the rig that it is kept for, and the run that it has got."""
-
-    __tablename__ = "batch_unit"
 
     batch: str = Field(primary_key=True, foreign_key="batch.id")
     position: int = Field(primary_key=True)
@@ -362,10 +346,9 @@ class BatchUnitTable(SQLModel, table=True):
     why: str | None = None
 
 
-class WebhookDeliveryTable(SQLModel, table=True):
+class WebhookDeliveryTable(Table, table=True):
     """The end of a run that another program is to be told of; `due_at` is null once that is over."""
 
-    __tablename__ = "webhook_delivery"
     __table_args__ = (Index("ix_webhook_delivery_due_at", "due_at"),)
 
     run_uid: str = Field(primary_key=True)
@@ -376,13 +359,11 @@ class WebhookDeliveryTable(SQLModel, table=True):
     error: str | None = None
 
 
-class FleetFindingTable(SQLModel, table=True):
+class FleetFindingTable(Table, table=True):
     """What a fleet's re-analysis found in a run last, by which poses and which catalogue.
 
     No key of the store's own: the runs may be of another store.
     """
-
-    __tablename__ = "fleet_finding"
 
     run_uid: str = Field(primary_key=True)
     poses_sha256: str = Field(sa_type=Sha256)
@@ -392,10 +373,9 @@ class FleetFindingTable(SQLModel, table=True):
     at: datetime = Field(sa_type=UtcText)
 
 
-class SolutionTable(SQLModel, table=True):
+class SolutionTable(Table, table=True):
     """Stage, mounts and units solved together: rows are added and never changed."""
 
-    __tablename__ = "solution"
     __table_args__ = (Index("ix_solution_rig_created_at", "rig", "created_at"),)
 
     id: str = Field(primary_key=True)
@@ -409,13 +389,12 @@ class SolutionTable(SQLModel, table=True):
     poses: dict[str, Any] = Field(sa_type=CheckedJson)
 
 
-class StageMapTable(SQLModel, table=True):
+class StageMapTable(Table, table=True):
     """A stage's map that was put in force as the reference of a rig, and until when; at most one is.
 
     Runs keep what they need of it themselves.
     """
 
-    __tablename__ = "stage_map"
     __table_args__ = (Index("ix_stage_map_in_force", "rig", unique=True, **_where("withdrawn_at IS NULL")),)
 
     id: int = Field(default=None, primary_key=True)
@@ -428,10 +407,9 @@ class StageMapTable(SQLModel, table=True):
     withdrawn_at: datetime | None = Field(default=None, sa_type=UtcText)
 
 
-class LogStudyTable(SQLModel, table=True):
+class LogStudyTable(Table, table=True):
     """What was found in a log that somebody brought: the report and its pictures, not the log."""
 
-    __tablename__ = "log_study"
     __table_args__ = (Index("ix_log_study_created_at_id", "created_at", "id"),)
 
     id: str = Field(primary_key=True)
