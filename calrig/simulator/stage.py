@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,13 @@ from calrig.simulator.mechanics import Arrival
 
 GARBLED = bytes(byte ^ 0x15 for byte in range(256))
 """Digits and letters become others and signs, never the end of a line."""
+
+
+class Refused(Exception):  # noqa: N818 (an answer of a dialect, caught where it is said or remembered)
+    """A command is refused, by a code, a letter or a word of the dialect."""
+
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
 
 
 class Stage(ABC):

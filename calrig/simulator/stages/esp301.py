@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import StageOptions
-from calrig.simulator.stage import LineStage
+from calrig.simulator.stage import LineStage, Refused
 
 FIRMWARE = "ESP301 Version 3.0.1 simulated"
 STAGE_NAME = "URS75BCC, SN S0001"
@@ -35,11 +35,6 @@ AXIS_TEXTS = {
     MOTOR_OFF: "MOTOR NOT ENABLED",
     HOMING_ABORTED: "HOMING ABORTED",
 }
-
-
-class _Refused(Exception):  # noqa: N818 (a code of the dialect, caught where it is remembered)
-    def __init__(self, code: int) -> None:
-        self.code = code
 
 
 class Esp301(LineStage):
@@ -96,14 +91,14 @@ class Esp301(LineStage):
     def _answer(self, text: str, now_s: float) -> str | None:
         try:
             return self._obey(text.upper(), now_s) if text else None
-        except _Refused as refusal:
-            self._errors.append((refusal.code, now_s))
+        except Refused as refusal:
+            self._errors.append((refusal.answer, now_s))
             return None
 
     def _obey(self, text: str, now_s: float) -> str | None:
         command = COMMAND.fullmatch(text)
         if command is None:
-            raise _Refused(UNKNOWN)
+            raise Refused(UNKNOWN)
         axis, code, parameter = command.groups()
         if code in ("TE", "TB", "VE"):
             return self._about_itself(code)
@@ -112,9 +107,9 @@ class Esp301(LineStage):
             return None
         handled = code in self._queries if parameter == "?" else code in self._commands or code == "TP"
         if not handled:
-            raise _Refused(UNKNOWN)
+            raise Refused(UNKNOWN)
         if axis != str(self._options.axis) and not (code == "ST" and axis == ""):
-            raise _Refused(AXIS_OUT_OF_RANGE)
+            raise Refused(AXIS_OUT_OF_RANGE)
         if parameter == "?" or code == "TP":
             return self._queries[code](now_s)
         self._commands[code](now_s, parameter)
@@ -129,8 +124,8 @@ class Esp301(LineStage):
         text = AXIS_TEXTS[error % 100] if error >= 100 else TEXTS[error]
         return f"{error}, {at_s * 1000:.0f}, {text}"
 
-    def _axis_error(self, number: int) -> _Refused:
-        return _Refused(100 * self._options.axis + number)
+    def _axis_error(self, number: int) -> Refused:
+        return Refused(100 * self._options.axis + number)
 
     def _move(self, now_s: float, target_deg: float) -> None:
         if not self._motor_is_on:
@@ -185,5 +180,5 @@ STAGE = Esp301
 
 def _number(text: str) -> float:
     if not re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)", text):
-        raise _Refused(PARAMETER_MISSING)
+        raise Refused(PARAMETER_MISSING)
     return float(text)

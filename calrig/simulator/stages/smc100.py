@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import StageOptions
-from calrig.simulator.stage import LineStage
+from calrig.simulator.stage import LineStage, Refused
 
 NO_ERROR = "@"
 ERROR_TEXTS = {
@@ -72,11 +72,6 @@ FIRMWARE = "SMC100CC simulated"
 COMMAND_FORM = re.compile(r"(\d{0,2})([A-Z]{2})(.*)")
 
 
-class _Refused(Exception):  # noqa: N818 (a letter of the dialect, caught where it is remembered)
-    def __init__(self, letter: str) -> None:
-        self.letter = letter
-
-
 class _Ahead(NamedTuple):
     """What the state will be once the motion under way has ended."""
 
@@ -96,8 +91,8 @@ class Smc100(LineStage):
         self._memory = NO_ERROR
         self._handlers: dict[str, Callable[[float, str], str | None]] = {
             "OR": self._home,
-            "PA": self._move_to,
-            "PR": self._move_by,
+            "PA": lambda now_s, target: self._move(now_s, target, 0.0, "N"),
+            "PR": lambda now_s, way: self._move(now_s, way, self._setpoint_deg, "G"),
             "TP": lambda now_s, _: _number(self._reported_deg(now_s)),
             "TS": lambda *_: f"{self._errors:04X}{self._state:02X}",
             "TE": self._take_error,
@@ -127,15 +122,15 @@ class Smc100(LineStage):
     def _replies(self, line: bytes) -> list[str]:
         try:
             reply = self._answer(line.decode("ascii", "replace").upper())
-        except _Refused as refusal:
-            self._memory, reply = refusal.letter, None
+        except Refused as refusal:
+            self._memory, reply = refusal.answer, None
         return [] if reply is None else [reply]
 
     def _answer(self, line: str) -> str | None:
         command = COMMAND_FORM.fullmatch(line)
         if command is None:
             if line:
-                raise _Refused("A")
+                raise Refused("A")
             return None
         address, code, parameter = command.groups()
         to_all = address in {"", "0"} and code == "ST"
@@ -143,7 +138,7 @@ class Smc100(LineStage):
             return None  # another controller's on the same line
         handler = self._handlers.get(code)
         if handler is None:
-            raise _Refused("A")
+            raise Refused("A")
         with self._at_now() as now_s:
             value = handler(now_s, parameter)
         asked = parameter.removesuffix("?") if code == "TB" else ""
@@ -170,7 +165,7 @@ class Smc100(LineStage):
 
     def _only_in(self, *allowed: set[State]) -> None:
         if not any(self._state in states for states in allowed):
-            raise _Refused(next(letter for states, letter in REFUSALS if self._state in states))
+            raise Refused(next(letter for states, letter in REFUSALS if self._state in states))
 
     def _home(self, now_s: float, _: str) -> None:
         self._only_in(NOT_REFERENCED)
@@ -182,24 +177,15 @@ class Smc100(LineStage):
             else _Ahead(arrival.at_s, State.READY_FROM_HOMING)
         )
 
-    def _move_to(self, now_s: float, parameter: str) -> str | None:
+    def _move(self, now_s: float, parameter: str, from_deg: float, out_of_limits: str) -> str | None:
         if parameter == "?":
             return _number(self._setpoint_deg)
-        self._move(now_s, _parsed(parameter), "N")
-        return None
-
-    def _move_by(self, now_s: float, parameter: str) -> str | None:
-        if parameter == "?":
-            return _number(self._setpoint_deg)
-        self._move(now_s, self._setpoint_deg + _parsed(parameter), "G")
-        return None
-
-    def _move(self, now_s: float, target_deg: float, out_of_limits: str) -> None:
+        target_deg = from_deg + _parsed(parameter)
         self._only_in(READY)
         if not self._parameters["SL"] <= target_deg <= self._parameters["SR"]:
-            raise _Refused(out_of_limits)
+            raise Refused(out_of_limits)
         if target_deg == self._setpoint_deg:
-            return
+            return None
         arrival = self._bench.mechanics.move(
             now_s, target_deg, self._parameters["VA"], self._parameters["AC"]
         )
@@ -209,6 +195,7 @@ class Smc100(LineStage):
             if arrival.stalled
             else _Ahead(arrival.at_s, State.READY_FROM_MOVING)
         )
+        return None
 
     def _halt(self, now_s: float) -> float:
         rest_s = self._bench.mechanics.halt(now_s, self._parameters["AC"])
@@ -236,7 +223,7 @@ class Smc100(LineStage):
             self._state, self._errors = State.READY_FROM_DISABLE, 0
             self._setpoint_deg = self._encoder_deg(now_s)
         else:
-            raise _Refused("C")
+            raise Refused("C")
         return None
 
     def _reset(self, now_s: float) -> None:
@@ -252,7 +239,7 @@ class Smc100(LineStage):
         self._only_in(READY, DISABLE)
         in_range = {"SL": value <= 0, "SR": value >= 0}.get(code, value > 0)
         if not in_range:
-            raise _Refused("C")
+            raise Refused("C")
         self._parameters[code] = value
         return None
 
@@ -263,7 +250,7 @@ class Smc100(LineStage):
     def _error_text(self, letter: str) -> str:
         named = letter.removesuffix("?") or self._memory
         if named not in ERROR_TEXTS:
-            raise _Refused("C")
+            raise Refused("C")
         return f" {ERROR_TEXTS[named]}" if letter.removesuffix("?") else f"{named} {ERROR_TEXTS[named]}"
 
 
@@ -272,7 +259,7 @@ STAGE = Smc100
 
 def _parsed(parameter: str) -> float:
     if not re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)(E[-+]?\d{1,2})?", parameter):
-        raise _Refused("C")
+        raise Refused("C")
     return float(parameter)
 
 

@@ -11,18 +11,13 @@ from collections.abc import Callable
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import StageOptions
-from calrig.simulator.stage import LineStage
+from calrig.simulator.stage import LineStage, Refused
 
 FIRMWARE = "7.35"
 MICROSTEPS_PER_DEG = 6400.0
 NATIVE_VELOCITY = 1.6384
 """A speed counts 1/1.6384 microsteps per second; an acceleration 10⁴ times that, per second."""
 MESSAGE = re.compile(r"/(?:(\d+)(?: (\d+)(?: (\d+|--))?)?)?\s*(.*?)(?::([0-9A-F]{2}))?")
-
-
-class _Refused(Exception):  # noqa: N818 (a reason of the dialect, caught where it is said)
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
 
 
 class Zaber(LineStage):
@@ -70,8 +65,8 @@ class Zaber(LineStage):
             flag, data = "OK", "0"
             try:
                 data = self._obey(command.split(), now_s)
-            except _Refused as refusal:
-                flag, data = "RJ", refusal.reason
+            except Refused as refusal:
+                flag, data = "RJ", refusal.answer
             head = [f"{self._options.axis:02d}", axis or "0", *([number] if number else [])]
             reply = " ".join([*head, flag, "BUSY" if self._ends else "IDLE", self._warning(), data])
         return f"@{reply}:{_checksum(reply)}" if checksum else f"@{reply}"
@@ -100,7 +95,7 @@ class Zaber(LineStage):
                     self._flags = set()
                 return " ".join([f"{len(flags):02d}", *flags])
             case _:
-                raise _Refused("BADCOMMAND")
+                raise Refused("BADCOMMAND")
         return "0"
 
     def _warning(self) -> str:
@@ -109,7 +104,7 @@ class Zaber(LineStage):
 
     def _move(self, now_s: float, target: int) -> None:
         if not self._settings["limit.min"] <= target <= self._settings["limit.max"]:
-            raise _Refused("BADDATA")
+            raise Refused("BADDATA")
         self._flags.discard("FS")
         velocity = self._settings["maxspeed"] / NATIVE_VELOCITY / MICROSTEPS_PER_DEG
         arrival = self._bench.mechanics.move(
@@ -142,7 +137,7 @@ STAGE = Zaber
 
 def _whole(text: str) -> int:
     if not re.fullmatch(r"-?\d+", text):
-        raise _Refused("BADDATA")
+        raise Refused("BADDATA")
     return int(text)
 
 

@@ -102,17 +102,7 @@ class Grbl(Stage):
     def drive(self, way: list[Segment]) -> bool:
         """Turn the motor along a way in units; returns whether it is blocked on it."""
         share = self._degrees_per_unit()
-        return self._bench.mechanics.follow(
-            [
-                Segment(
-                    segment.start_s,
-                    share * segment.position_deg,
-                    share * segment.velocity_dps,
-                    share * segment.acceleration_dps2,
-                )
-                for segment in way
-            ]
-        ).stalled
+        return self._bench.mechanics.follow([segment.scaled(share) for segment in way]).stalled
 
     def stop_motor(self, at_s: float) -> None:
         """No further step: the motor stops dead."""

@@ -16,19 +16,17 @@ from calrig.simulator.stages.grbl.eeprom import (
     ACCELERATION,
     DEBOUNCE,
     HOMING,
-    HOMING_SIDE,
     INCHES,
     LOCATE_RATE,
     PULL_OFF,
     RATE,
     SEEK_RATE,
     SOFT_LIMITS,
-    STEPS,
     TRAVEL,
     Eeprom,
 )
+from calrig.simulator.stages.grbl.gcode import Refusal, read_number
 from calrig.simulator.stages.grbl.motion import Line
-from calrig.simulator.stages.grbl.numbers import Refusal, read_number
 from calrig.simulator.stages.grbl.reports import (
     DOOR_IN_HOMING,
     NO_SWITCH,
@@ -215,25 +213,20 @@ class Commands:
 
     def _write(self, line: str) -> None:
         """Store `$number=value`."""
-        eeprom = self._firmware.eeprom
+        firmware, eeprom = self._firmware, self._firmware.eeprom
         number, at = read_number(line, 1)
         if line[at : at + 1] != "=":
             raise Refusal(3)
         value, at = read_number(line, at + 1)
         if at < len(line) or number > MOST_SETTINGS:
             raise Refusal(3)
-        before = [eeprom.values[STEPS + axis] for axis in range(eeprom.n_axes)]
+        steps_before = eeprom.steps_per_unit
         eeprom.write(int(number), value)
-        self._settings_changed(int(number), before)
-
-    def _settings_changed(self, number: int, steps_before: list[float]) -> None:
-        firmware = self._firmware
-        if number == INCHES:
+        if int(number) == INCHES:
             firmware.counters.offset = 0
-        steps = [firmware.eeprom.values[STEPS + axis] for axis in range(firmware.eeprom.n_axes)]
-        if steps != steps_before:  # the steps that were counted mean other places
+        if eeprom.steps_per_unit != steps_before:  # the steps that were counted mean other places
             places = firmware.motion.place(firmware.begin_s())
-            changed = zip(places, steps_before, steps, strict=True)
+            changed = zip(places, steps_before, eeprom.steps_per_unit, strict=True)
             firmware.motion.set_places(
                 firmware.begin_s(),
                 {axis: place * before / now for axis, (place, before, now) in enumerate(changed)},
@@ -314,7 +307,7 @@ class Commands:
         firmware = self._firmware
         yield from firmware.wait_for_room()
         line = Line(tuple(firmware.parser.position), tuple(target), feed, is_jog=is_jog)
-        least = min(0.5 / firmware.eeprom.values[STEPS + axis] for axis in range(firmware.eeprom.n_axes))
+        least = min(0.5 / steps for steps in firmware.eeprom.steps_per_unit)
         if firmware.is_aborted or line.length < least:
             return
         firmware.motion.add(firmware.begin_s(), line)
@@ -363,7 +356,7 @@ class Commands:
         firmware.state = State.HOME
         begin_s = firmware.begin_s()
         distances = dict.fromkeys(range(eeprom.n_axes), eeprom.values[PULL_OFF])
-        side = -1.0 if int(eeprom.values[HOMING_SIDE]) >> firmware.index & 1 else 1.0
+        side = eeprom.homing_side(firmware.index)
         distances[firmware.index] = firmware.motor.to_switch(begin_s, side)
         if math.isinf(distances[firmware.index]):
             distances = dict.fromkeys(distances, math.inf)
@@ -483,7 +476,7 @@ class HomingCycle:
         gain = min(values[ACCELERATION + axis] for axis in axes)
         begin_s, ways, end_s = self.ends_s, {}, self.ends_s
         for axis in axes:
-            side = -1.0 if int(values[HOMING_SIDE]) >> axis & 1 else 1.0
+            side = self._eeprom.homing_side(axis)
             if to_switch is None:
                 ways[axis] = trapezoid(begin_s, 0.0, -side * most, speed, gain)
             else:

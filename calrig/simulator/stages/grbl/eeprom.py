@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calrig.simulator.config import StageOptions
-from calrig.simulator.stages.grbl.numbers import Refusal
+from calrig.simulator.stages.grbl.gcode import Refusal
 
 LETTERS = "XYZABC"
 STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
@@ -75,8 +75,16 @@ class Eeprom:
     def homed(self, axis: int) -> float:
         """Machine coordinate of an axis after homing: a pull-off away from one end of the negative space."""
         pull_off = self.values[PULL_OFF]
-        is_low = int(self.values[HOMING_SIDE]) >> axis & 1
-        return pull_off - self.values[TRAVEL + axis] if is_low else -pull_off
+        return pull_off - self.values[TRAVEL + axis] if self.homing_side(axis) < 0 else -pull_off
+
+    def homing_side(self, axis: int) -> float:
+        """The direction in which an axis looks for its switch: -1 or 1."""
+        return -1.0 if int(self.values[HOMING_SIDE]) >> axis & 1 else 1.0
+
+    @property
+    def steps_per_unit(self) -> list[float]:
+        """Of each axis."""
+        return [self.values[STEPS + axis] for axis in range(self.n_axes)]
 
     def write(self, number: int, value: float) -> None:
         """Store a setting.

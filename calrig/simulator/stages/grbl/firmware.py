@@ -14,9 +14,8 @@ from typing import Protocol
 from calrig.simulator.config import StageOptions
 from calrig.simulator.stages.grbl.commands import Commands
 from calrig.simulator.stages.grbl.eeprom import HARD_LIMITS, HOMING, IDLE_DELAY, LETTERS, Eeprom
-from calrig.simulator.stages.grbl.gcode import ParserState
+from calrig.simulator.stages.grbl.gcode import ParserState, Refusal
 from calrig.simulator.stages.grbl.motion import LAST_STEPS_S, Motion
-from calrig.simulator.stages.grbl.numbers import Refusal
 from calrig.simulator.stages.grbl.reports import (
     HARD_LIMIT,
     RESET_IN_HOMING,

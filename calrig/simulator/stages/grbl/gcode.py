@@ -10,9 +10,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from calrig.simulator.stages.grbl.numbers import Refusal, read_number
-
 MM_PER_INCH = 25.4
+MOST_DIGITS = 8
 MOST_TOOLS = 255
 MOST_LINES = 10_000_000
 TLO_AXIS = 2
@@ -37,6 +36,47 @@ M_GROUPS = {**dict.fromkeys((0, 1, 2, 30), 104), **dict.fromkeys((3, 4, 5), 107)
 NOT_NEGATIVE = set("FNPTS")
 SET_SYSTEM, GO_28, GO_30, SET_28, SET_30, SET_G92, CLEAR_G92 = 10.0, 28.0, 30.0, 28.1, 30.1, 92.0, 92.1
 DWELL, MACHINE = 4.0, 53.0
+
+
+class Refusal(Exception):  # noqa: N818 (an answer of the dialect, caught where it is sent)
+    """A line is answered with `error:` and this number."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+
+def read_number(text: str, start: int) -> tuple[float, int]:
+    """Read the number that begins at an index of a line, by GRBL's own routine (nuts_bolts.c).
+
+    No exponent passes it, and no ninth digit. Leading zeros count as digits. From the ninth on, they are
+    zeros before the decimal point, nothing after.
+
+    Returns:
+        The number and the index after it.
+
+    Raises:
+        Refusal: there is no digit (2, bad number format).
+    """
+    at, sign, digits, exponent, n_digits, after_point = start, 1.0, 0, 0, 0, False
+    if text[at : at + 1] in ("-", "+") and text[at : at + 1]:
+        sign = -1.0 if text[at] == "-" else 1.0
+        at += 1
+    while at < len(text):
+        if text[at] in "0123456789":
+            n_digits += 1
+            if n_digits <= MOST_DIGITS:
+                exponent -= after_point
+                digits = digits * 10 + int(text[at])
+            else:
+                exponent += not after_point
+        elif text[at] == "." and not after_point:
+            after_point = True
+        else:
+            break
+        at += 1
+    if not n_digits:
+        raise Refusal(2)
+    return sign * (digits * 10.0**exponent if exponent > 0 else digits / 10.0**-exponent), at
 
 
 @dataclass(frozen=True)

@@ -283,13 +283,8 @@ class Motion:
 
 def _of_axis(piece: Piece, axis: int) -> Segment:
     line, along = piece
-    part = line.direction[axis]
-    return Segment(
-        along.start_s,
-        line.start[axis] + part * along.position_deg,
-        part * along.velocity_dps,
-        part * along.acceleration_dps2,
-    )
+    way = along.scaled(line.direction[axis])
+    return way._replace(position_deg=line.start[axis] + way.position_deg)
 
 
 def _ramps(
