@@ -112,17 +112,14 @@ class LineWire:
     def _next(self) -> str | None:
         while end := self._end.search(self._tail):
             line, self._tail = self._tail[: end.start()], self._tail[end.end() :]
-            if line := self._without_nul(line):
-                return line.decode("ascii", "replace")
+            bare = line.lstrip(b"\0")
+            if bare != line:
+                self._faults["unparsed"] += 1
+            if bare:
+                return bare.decode("ascii", "replace")
         if len(self._tail) > LONGEST_LINE:
             self._drop_tail()
         return None
-
-    def _without_nul(self, line: bytes) -> bytes:
-        bare = line.lstrip(b"\0")
-        if bare != line:
-            self._faults["unparsed"] += 1
-        return bare
 
     def _drop_tail(self) -> None:
         if self._tail:

@@ -64,6 +64,7 @@ class Count:
         shown_deg: the last one read.
         step_deg: the angle of one step.
         has_switch: whether a homing finds the angle again.
+        has_moved: whether a motion was commanded.
     """
 
     def __init__(self, index: int, name: str) -> None:
@@ -73,17 +74,12 @@ class Count:
         self.shown_deg = 0.0
         self.step_deg = 0.0
         self.has_switch = True
+        self.has_moved = False
         self._index = index
         self._name = name
         self._offset_heard: float | None = None
-        self._has_moved = False
         self._target_deg: float | None = None
         self._rests_deg: float | None = None
-
-    @property
-    def has_moved(self) -> bool:
-        """Whether a motion was commanded."""
-        return self._has_moved
 
     def lose(self, why: str) -> None:
         """The count is no angle from here on."""
@@ -91,7 +87,7 @@ class Count:
 
     def begin(self, target_deg: float | None) -> None:
         """A motion is sent: to a target, or None for homing, which makes good what was lost."""
-        self._has_moved, self._target_deg, self._rests_deg = True, target_deg, None
+        self.has_moved, self._target_deg, self._rests_deg = True, target_deg, None
         if target_deg is None:
             self.lost, self.unreferenced = False, "homing has not succeeded"
 
@@ -113,7 +109,7 @@ class Count:
             return
         heard = report.offset[self._index]
         if heard == self._offset_heard and heard != self.offset_deg:
-            if self.offset_deg is not None and self._has_moved:
+            if self.offset_deg is not None and self.has_moved:
                 self.lose(f"its work coordinates were shifted by {heard - self.offset_deg:g}°")
             self.offset_deg = heard
         self._offset_heard = heard
