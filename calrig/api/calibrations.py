@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticKnownError
 
 from calrig.analysis.calibration_in_force import wanted_revision
-from calrig.analysis.certificates import exported, exported_noise
+from calrig.analysis.certificates import certificate_dcc, certificate_pdf, exported, exported_noise
 from calrig.analysis.errors import Invalid
 from calrig.analysis.revisions import issued_since
 from calrig.api.access import Who
@@ -182,14 +182,11 @@ def list_issued(context: Context, since: datetime | None = None) -> object:
 def _preview(
     context: ApiContext, heavy: BackgroundWork, found: StoredRevision, form: Literal["pdf", "dcc"]
 ) -> Response:
-    from calrig.analysis.certificates import certificate_dcc, certificate_pdf
     from calrig.export.certificate.pdf import RendererMissingError
     from calrig.export.signing import SignerMissingError
 
-    make, ending, kind = {
-        "pdf": (certificate_pdf, "pdf", "inline"),
-        "dcc": (certificate_dcc, "xml", "attachment"),
-    }[form]
+    make = certificate_pdf if form == "pdf" else certificate_dcc
+    ending, kind = ("pdf", "inline") if form == "pdf" else ("xml", "attachment")
     try:
         made = make(context.store, found, context.laboratory, heavy.from_thread)
     except SignerMissingError as error:

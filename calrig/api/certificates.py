@@ -7,6 +7,7 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from calrig.analysis.calibration_in_force import wanted_revision
+from calrig.analysis.certificates import issue_certificate
 from calrig.analysis.errors import Unknown
 from calrig.api.access import Who
 from calrig.api.context import Context, KnownUnit
@@ -62,7 +63,6 @@ def issue(unit: KnownUnit, body: NewCertificate, context: Context, heavy: Heavy,
 
     409 for a draft. Without what makes PDFs there is none, and `sha256.pdf` is null.
     """
-    from calrig.analysis.certificates import issue_certificate
     from calrig.export.signing import SignerMissingError
 
     try:

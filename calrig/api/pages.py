@@ -57,11 +57,7 @@ def install(app: FastAPI, web: Path) -> None:
     """
     router = APIRouter(include_in_schema=False)
     files = _PageFiles(web)
-
-    @router.get("/")
-    def index(request: Request) -> Response:
-        return files.index(request)
-
+    router.get("/")(files.index)
     app.include_router(router)
     app.mount("/web", files, name="web")
 

@@ -171,13 +171,9 @@ class CheckAnswer(Model):
     verdict: Literal["passed", "failed", "not_known"]
 
 
-class CheckUnitAnswer(Model):
+class CheckUnitAnswer(CheckUnit):
     """How a rig stands by its check unit, and the runs that a failure puts in doubt."""
 
-    rig: str
-    unit: str
-    interval_days: float
-    named_at: datetime
     state: Literal["passed", "failed", "not_known"]
     last_check_at: datetime | None
     last_passed_at: datetime | None
