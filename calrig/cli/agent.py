@@ -13,6 +13,7 @@ import typer
 import calrig
 from calrig.cli.exit_status import Listed
 from calrig.cli.options import Config, LogFormat, Record
+from calrig.cli.serve import url_of
 from calrig.cli.start import loaded
 from calrig.errors import InputError, WorkError
 
@@ -177,7 +178,6 @@ def _work(service: RunService, url: str, listener: socket.socket | None, access:
 
         app = create_app(service, access=access, is_bench=True)
         host, port = listener.getsockname()[:2]
-        where = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-        said = f"calrig {calrig.__version__} at {where}, rigs: {rigs}{what_is_asked(app)}"
+        said = f"calrig {calrig.__version__} at {url_of(host, port)}, rigs: {rigs}{what_is_asked(app)}"
         loaded()
         Server(app, lambda: typer.echo(said)).run(sockets=[listener])

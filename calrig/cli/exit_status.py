@@ -38,7 +38,7 @@ STATUS = {
     "calrig.api.access.AccessError": 2,
 }
 """Exit status by kind of error; by name, for importing them all would take a second to say one line."""
-ASK_IT = ", or ask it by --server http://HOST:PORT"
+ASK_IT = "ask it by --server http://HOST:PORT"
 
 
 class Commands(Listed):
@@ -66,7 +66,7 @@ class Commands(Listed):
         """What else helps where a service holds the store that a command with `--server` wants to write."""
         command = self.get_command(ctx, ctx.invoked_subcommand or "")
         may_ask = command is not None and any(option.name == "server" for option in command.params)
-        return ASK_IT if may_ask and getattr(error, "is_served", False) else ""
+        return f", or {ASK_IT}" if may_ask and getattr(error, "is_served", False) else ""
 
 
 def _leave(reason: str, status: int) -> NoReturn:

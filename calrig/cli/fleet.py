@@ -18,7 +18,8 @@ from calrig.errors import WorkError
 
 if TYPE_CHECKING:
     from calrig.analysis.fleet import Workers
-    from calrig.store import Store
+
+KEEP_IT = "keep what is found elsewhere with --out FILE"
 
 
 def fleet(
@@ -44,20 +45,11 @@ def fleet(
     from calrig.cli import output
     from calrig.cli.progress import late_bar
 
-    with _opened(db, writes=out is None) as store:
+    with open_store(db, "fleet" if out is None else None, or_else=KEEP_IT) as store:
         kept_in = nullcontext(store) if out is None else open_store(out, writer="fleet")
         with kept_in as results:
             found = reanalyse(store, results, partial(_workers, scheduler), late_bar, poses)
     output.show(found, output.print_fleet, as_json=as_json)
-
-
-def _opened(db: str | None, *, writes: bool) -> Store:
-    from calrig.store.errors import Taken
-
-    try:
-        return open_store(db, writer="fleet" if writes else None)
-    except Taken as error:
-        raise WorkError(f"{error}, or keep what is found elsewhere with --out FILE") from error
 
 
 PATIENCE_S = 30.0

@@ -9,6 +9,7 @@ import os
 from typing import TYPE_CHECKING
 
 from calrig.cli.options import LISTED, the_one
+from calrig.errors import WorkError
 from calrig.run_ids import begins_uuid, is_uuid
 
 if TYPE_CHECKING:
@@ -61,9 +62,18 @@ def client_at(address: str) -> Client:
     return Client(address)
 
 
-def open_store(db: str | None, writer: str | None = None) -> Store:
-    """The store of `--db`: opened for reading, or by the command that writes."""
+def open_store(db: str | None, writer: str | None = None, *, or_else: str | None = None) -> Store:
+    """The store of `--db`: opened for reading, or by the command that writes.
+
+    `or_else` is what else helps where another program writes to it.
+    """
     from calrig.settings import store_url
     from calrig.store import Store
+    from calrig.store.errors import Taken
 
-    return Store.open(store_url(db), writer=writer)
+    try:
+        return Store.open(store_url(db), writer=writer)
+    except Taken as error:
+        if or_else is None:
+            raise
+        raise WorkError(f"{error}, or {or_else}") from error

@@ -88,17 +88,15 @@ def _serve_on(
         def say_ready() -> None:
             rigs = ", ".join(f"{r.name} (simulated)" if r.simulated else r.name for r in service.rigs())
             host, port = listener.getsockname()[:2]
-            where = _url(host, port)
-            service.store.answers_at(_url(HERE.get(host, host), port))
-            asks = what_is_asked(app)
-            typer.echo(
-                f"calrig {calrig.__version__} at {where}, store {in_utf8(shown(url))}, rigs: {rigs}{asks}"
-            )
+            service.store.answers_at(url_of(HERE.get(host, host), port))
+            where = f"{url_of(host, port)}, store {in_utf8(shown(url))}"
+            typer.echo(f"calrig {calrig.__version__} at {where}, rigs: {rigs}{what_is_asked(app)}")
 
         loaded()
         # On SIGINT and SIGTERM uvicorn stops in order, then raises what it was told by.
         Server(app, say_ready).run(sockets=[listener])
 
 
-def _url(host: str, port: int) -> str:
+def url_of(host: str, port: int) -> str:
+    """The address of a service, of which `host` may be one of IPv6."""
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

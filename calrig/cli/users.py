@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from urllib.parse import quote
 
 import typer
@@ -11,10 +11,6 @@ import typer
 from calrig.cli.exit_status import ASK_IT, Listed
 from calrig.cli.options import Db, Json, Server
 from calrig.cli.running_service import client_at, open_store
-from calrig.errors import WorkError
-
-if TYPE_CHECKING:
-    from calrig.store import Store
 
 app = typer.Typer(
     cls=Listed,
@@ -61,7 +57,7 @@ def add(
         body = {"name": name, "role": role.value, "token": token}
         made = part(client_at(server).post("/api/users", body), "token")
     else:
-        with _store(db) as store:
+        with open_store(db, "users", or_else=ASK_IT) as store:
             _, made = store.users.add(name, role.value, with_token=token)
     if made is not None:
         typer.echo(made)
@@ -75,7 +71,7 @@ def token(name: Name, db: Db = None, server: Server = None) -> None:
 
         made = part(client_at(server).post(f"{_path(name)}/token", {}), "token")
     else:
-        with _store(db) as store:
+        with open_store(db, "users", or_else=ASK_IT) as store:
             _, made = store.users.new_token(name)
     typer.echo(made)
 
@@ -91,7 +87,7 @@ def role(
     if server:
         client_at(server).post(f"{_path(name)}/role", {"role": role.value})
     else:
-        with _store(db) as store:
+        with open_store(db, "users", or_else=ASK_IT) as store:
             store.users.set_role(name, role.value)
 
 
@@ -101,7 +97,7 @@ def disable(name: Name, db: Db = None, server: Server = None) -> None:
     if server:
         client_at(server).post(f"{_path(name)}/disable", {})
     else:
-        with _store(db) as store:
+        with open_store(db, "users", or_else=ASK_IT) as store:
             store.users.disable(name)
 
 
@@ -119,15 +115,6 @@ def list_(as_json: Json = False, db: Db = None, server: Server = None) -> None:
         with open_store(db) as store:
             users = [KnownUser.model_validate(user) for user in store.users.all()]
     show(users, print_users, as_json=as_json)
-
-
-def _store(db: str | None) -> Store:
-    from calrig.store.errors import Taken
-
-    try:
-        return open_store(db, writer="users")
-    except Taken as error:
-        raise WorkError(f"{error}{ASK_IT}") from error
 
 
 def _path(name: str) -> str:
