@@ -161,24 +161,20 @@ class Records:
         check_serial(unit)
         why = checked_reason(reason)
         with self._store.transaction():
-            return self._move(run_id, unit, why, who)
-
-    def _move(self, run_id: str, unit: str, why: str, who: str | None) -> Run:
-        run = ended_run(self._store, run_id)
-        if run.unit == unit:
-            raise Conflict(f"run {run_id} is of unit {unit!r} already")
-        of_unit, _ = self._store.runs.page(unit=run.unit, limit=2**31)
-        moving = [ended_run(self._store, one) for one in _chain(run_id, of_unit)]
-        for one in moving:
-            _check_movable(one, {m.id for m in moving}, of_unit)
-        self._store.amendments.move(
-            {one.id: self._result_for(one, unit) for one in moving}, unit, why, who=who
-        )
-        for one in moving:
-            said = f"run {short_name(one.id)} was moved from unit {one.unit} to unit {unit}: {why}"
-            self._done(one, who, said)
-            self._done(stored_run(self._store, one.id), who, said)
-        return stored_run(self._store, run_id)
+            run = ended_run(self._store, run_id)
+            if run.unit == unit:
+                raise Conflict(f"run {run_id} is of unit {unit!r} already")
+            of_unit, _ = self._store.runs.page(unit=run.unit, limit=2**31)
+            moving = [ended_run(self._store, one) for one in _chain(run_id, of_unit)]
+            for one in moving:
+                _check_movable(one, {m.id for m in moving}, of_unit)
+            results = {one.id: self._result_for(one, unit) for one in moving}
+            self._store.amendments.move(results, unit, why, who=who)
+            for one in moving:
+                said = f"run {short_name(one.id)} was moved from unit {one.unit} to unit {unit}: {why}"
+                self._done(one, who, said)
+                self._done(stored_run(self._store, one.id), who, said)
+            return stored_run(self._store, run_id)
 
     def _result_for(self, run: Run, unit: str) -> Document | None:
         """The result that a run has as one of another unit, with what is accepted for that."""

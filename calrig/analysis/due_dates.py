@@ -45,11 +45,6 @@ class DueDates:
         """Of one unit."""
         return self.units.get(serial, NEVER)
 
-    @property
-    def overdue(self) -> int:
-        """How many are overdue."""
-        return sum(due.overdue for due in self.units.values())
-
 
 def due_dates(
     store: Store,
