@@ -139,7 +139,8 @@ def test_a_hard_limit_on_the_move_is_told_as_what_it_is_and_homed_away():
     port = simulated("grbl")
     stage = homed(Grbl(port))
     stage.move(170)
-    port.device.close_limit_switch()
+    port.device.set_limit_switch(closed=True)
+    port.device.set_limit_switch(closed=False)
     assert "ALARM:1, a limit switch was hit" in stage.status().words
     with pytest.raises(StageError, match=r"lost its angle.*ALARM:1"):
         stage.position_deg()

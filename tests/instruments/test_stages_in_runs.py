@@ -84,7 +84,8 @@ def test_a_stepper_that_runs_into_its_limit_switch_fails_the_run_with_its_alarm_
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
         clock.until(lambda: service.store.poses.count(run.id), "first pose")
         clock.until(lambda: simulated.stage.state == State.RUN, "move")
-        simulated.stage.close_limit_switch()
+        simulated.stage.set_limit_switch(closed=True)
+        simulated.stage.set_limit_switch(closed=False)
         ended = service.wait(run.id, 20)
         again = service.wait(service.start(unit="AS-1", plan=Plan.model_validate(QUICK)).id, 60)
     assert ended.status == "failed"

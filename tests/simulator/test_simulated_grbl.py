@@ -127,7 +127,8 @@ def test_a_reset_before_the_message_that_asks_for_it_is_lost(how):
     if how == "soft limit":
         assert wire.ask("G53 G0 X5") == ["ALARM:2"]
     else:
-        wire.device.close_limit_switch()
+        wire.device.set_limit_switch(closed=True)
+        wire.device.set_limit_switch(closed=False)
         assert wire.tell("") == ["ALARM:1"]
     assert wire.tell("\x18?$$\n", for_s=0.6) == ["[MSG:Reset to continue]"]
     assert wire.tell("?$$\n$X\n", for_s=0.6) == []

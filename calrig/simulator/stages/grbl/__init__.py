@@ -75,11 +75,6 @@ class Grbl(Stage):
             self._firmware.change_switch(now_s, closed=closed)
             self._firmware.run(now_s)
 
-    def close_limit_switch(self) -> None:
-        """Something closes a limit switch for a moment: the motor stops dead, and it waits for a reset."""
-        self.set_limit_switch(closed=True)
-        self.set_limit_switch(closed=False)
-
     def receive(self, data: bytes) -> bytes:
         """Takes what came over the wire; returns what has gone back by now."""
         if self.fault == "hang":
