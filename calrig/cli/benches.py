@@ -145,13 +145,10 @@ def checked_by(db: str, ca: Path | None) -> str:
 
     url = make_url(db)
     if url.query.get("sslmode") == "verify-full":
-        url = url.update_query_dict({"sslrootcert": str(_authorities(ca))})
+        # libpq may not know where this machine keeps the certificates that it believes
+        file = ssl.get_default_verify_paths().cafile or "system" if ca is None else ca.resolve()
+        url = url.update_query_dict({"sslrootcert": str(file)})
     return url.render_as_string(hide_password=False)
-
-
-def _authorities(ca: Path | None) -> Path | str:
-    """The file of certificates that libpq believes; it may not know where this machine keeps its own."""
-    return ssl.get_default_verify_paths().cafile or "system" if ca is None else ca.resolve()
 
 
 @contextmanager

@@ -98,7 +98,7 @@ def solve(
 
     A service that holds the store of the runs solves them, and keeps the solution; files are solved here.
     """
-    from calrig.analysis.solutions import SolutionRequest
+    from calrig.analysis.solutions import SolutionInputs, SolutionRequest
     from calrig.cli import output
     from calrig.figures.files import writer_of
     from calrig.model.solution import SolutionDocument
@@ -121,7 +121,9 @@ def solve(
     said: list[str] = []
     if files:
         lots, said = _of_files(files, unit or [])
-        found = _answer(_of_lots(lots, wanted), is_drawn=draw is not None)
+        units = list(dict.fromkeys(lot.unit for lot in lots))
+        asked = SolutionInputs(None, wanted.basis([], units), lots, wanted.limits_deg)
+        found = _answer(asked, is_drawn=draw is not None)
     elif (there := running_service(server, db)) is not None:
         found = _solved_there(there, wanted, with_files=out is not None, with_poses=draw is not None)
     else:
@@ -158,13 +160,6 @@ def _answer(asked: SolutionInputs, *, is_drawn: bool) -> Solved:
             return answer(asked, show)
     except DiagnosisError as error:
         raise InputError(str(error)) from error
-
-
-def _of_lots(lots: Sequence[MountedPoses], wanted: SolutionRequest) -> SolutionInputs:
-    from calrig.analysis.solutions import SolutionInputs
-
-    units = list(dict.fromkeys(lot.unit for lot in lots))
-    return SolutionInputs(None, wanted.basis([], units), lots, wanted.limits_deg)
 
 
 def _of_runs(wanted: SolutionRequest, db: str | None) -> SolutionInputs:
