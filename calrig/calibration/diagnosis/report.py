@@ -297,9 +297,11 @@ def _same_elsewhere(found: SelectedEffect, candidate: Candidate) -> list[str]:
     if not values:
         return []
     parameter = next(p for p in candidate.effect.parameters if p.name == place)
-    listed = ", ".join(f"{value:.4g}{parameter.unit}" for value in values)
-    own = f"{candidate.shape.at[place]:.4g}{parameter.unit}"
-    return [f"a {parameter.title.lower()} of {listed} would look the same as {own} at these poses"]
+    own, *others = dict.fromkeys(
+        f"{value:.4g}{parameter.unit}" for value in (candidate.shape.at[place], *values)
+    )
+    told = f"a {parameter.title.lower()} of {', '.join(others)} would look the same as {own} at these poses"
+    return [told] if others else []
 
 
 def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list[str]:
