@@ -28,7 +28,8 @@ export function effectCard(effect, k, { path, run }, decides, signal) {
     `Partial residual against ${covariateWords(effect.covariate)}, and the fitted effect`,
     { low: true, signal },
   );
-  const title = effectTitle(effect);
+  const { reference } = run.diagnosis;
+  const title = effectTitle(effect, reference);
   const [word, look] = effect.accepted_at ? ["accepted", "in"] : [effect.verdict, effect.verdict];
   const folded = h(
     "details",
@@ -52,7 +53,7 @@ export function effectCard(effect, k, { path, run }, decides, signal) {
         figures(effect),
         bullets(effect.evidence.map(evidenceWords), { class: "evidence" }),
         h("p", {}, h("strong", {}, "Remedy: "), `${effect.remedy}.`),
-        considered(effect),
+        considered(effect, reference),
         (effect.corrects || effect.verdict === "named") && !effect.changed && acceptance(effect, title, path, run),
       ),
       chart.element,
@@ -60,7 +61,7 @@ export function effectCard(effect, k, { path, run }, decides, signal) {
   );
   onOpen(folded, () => chart.load(`${path}/figures/effect-${k}`), signal);
   const props = { class: "effect", "data-effect": effect.name, "aria-label": title };
-  return h("article", props, folded, suspects(effect), decides);
+  return h("article", props, folded, suspects(effect, reference), decides);
 }
 
 /** Whose error it is. */
@@ -93,14 +94,14 @@ function pValue({ p_value: p, least_p_value: least }) {
   return (p <= least ? "≤ " : "") + significant(p, 2);
 }
 
-function suspects(effect) {
+function suspects(effect, reference) {
   if (effect.verdict !== "ambiguous" || !effect.confusable_with.length) return null;
-  return h("p", { class: "suspects" }, "May be ", suspectWords(effect), ".");
+  return h("p", { class: "suspects" }, "May be ", suspectWords(effect, reference), ".");
 }
 
-function considered(effect) {
+function considered(effect, reference) {
   const rows = effect.considered.map(({ name, behind, why }) =>
-    tableRow(candidateWords(name, effect.origin), [numberCell(significant(behind, 3)), why ?? "–"]),
+    tableRow(candidateWords(name, reference), [numberCell(significant(behind, 3)), why ?? "–"]),
   );
   return h(
     "details",

@@ -10,26 +10,28 @@ export async function knowEffects() {
   catalogue = new Map((await getOnce("/api/effects")).map((effect) => [effect.name, effect]));
 }
 
-/** An effect's title for a heading; one that the catalogue no longer has is shown as it was stored. */
-export function effectTitle({ name, covariate, origin }) {
+/**
+ * An effect's title for a heading; one that the catalogue no longer has is shown as it was stored. `reference` is the
+ * diagnosis's: if it is good, the stage does not err.
+ */
+export function effectTitle({ name, covariate }, reference) {
   if (name === "unnamed") return `Something that follows ${covariateWords(covariate)}`;
   const known = catalogue.get(name);
-  const ofSensor = origin === "sensor" && known?.origin !== "sensor";
-  return (ofSensor && known?.sensor_title) || (known?.title ?? name.replaceAll("_", " "));
+  return (reference === "good" && known?.sensor_title) || (known?.title ?? name.replaceAll("_", " "));
 }
 
-/** A candidate's name, such as `unnamed time_s`, inside a sentence or a table, beside an effect of some origin. */
-export function candidateWords(label, origin) {
+/** A candidate's name, such as `unnamed time_s`, inside a sentence or a table. */
+export function candidateWords(label, reference) {
   const [, kind, changed = ""] = /^(.*?)( from run .* to run .*)?$/.exec(label);
   const [, covariate] = /^unnamed (.*)$/.exec(kind) ?? [];
-  const known = kind.split(" + ").map((name) => words(name, origin));
+  const known = kind.split(" + ").map((name) => words(name, reference));
   return (covariate === undefined ? known.join(" + ") : `a shape of ${covariateWords(covariate)}`) + changed;
 }
 
 /** What an ambiguous effect may be; by another period of its own if only the spacing of the poses could tell them. */
-export function suspectWords({ name, origin, confusable_with: others }) {
-  const shown = (other) => (other === name ? "the same at another period" : candidateWords(other, origin));
-  return [candidateWords(name, origin), ...others.map(shown)].join(" or ");
+export function suspectWords({ name, confusable_with: others }, reference) {
+  const shown = (other) => (other === name ? "the same at another period" : candidateWords(other, reference));
+  return [candidateWords(name, reference), ...others.map(shown)].join(" or ");
 }
 
 export function covariateWords(covariate) {
@@ -108,8 +110,8 @@ function following(covariate) {
   return [...catalogue.values()].find((effect) => effect.covariate === covariate);
 }
 
-function words(name, origin) {
+function words(name, reference) {
   if (name === "unnamed") return "an unknown effect";
-  const title = effectTitle({ name, origin });
+  const title = effectTitle({ name }, reference);
   return title[0].toLowerCase() + title.slice(1);
 }

@@ -28,7 +28,8 @@ function outcome({ status, diagnosis, voided, error }) {
   if (UNDER_WAY.has(status)) return `${status}; its diagnosis will be of both runs together.`;
   if (status !== "completed") return `${status}, without an answer. ${error ?? ""}`;
   if (!diagnosis) return "completed; open it to diagnose both runs together.";
-  const found = diagnosis.effects.map(({ name, origin, verdict }) => `${candidateWords(name, origin)} (${verdict})`);
+  const words = ({ name, verdict }) => `${candidateWords(name, diagnosis.reference)} (${verdict})`;
+  const found = diagnosis.effects.map(words);
   return `joint diagnosis of both runs: ${found.join(", ") || "no effect"}.`;
 }
 
@@ -46,7 +47,7 @@ export function decidedEffect({ effects }) {
 }
 
 /** What a follow-up run does and is expected to show, and its button; `followers()` are the follow-up runs so far. */
-export function followUpBox({ follow_up: planned }, path, followers, signal) {
+export function followUpBox({ follow_up: planned, reference }, path, followers, signal) {
   if (!planned)
     return h("p", { class: "follow-up", id: "no-follow-up" }, "No run on this rig would distinguish them: see the remedy.");
   const address = `${path}/follow-up`;
@@ -79,17 +80,17 @@ export function followUpBox({ follow_up: planned }, path, followers, signal) {
   return h(
     "div",
     { class: "follow-up" },
-    h("div", {}, h("p", {}, motion(planned)), h("p", { class: "muted" }, expectation(planned)), error.element, state, work.element),
+    h("div", {}, h("p", {}, motion(planned, reference)), h("p", { class: "muted" }, expectation(planned)), error.element, state, work.element),
     button,
   );
 }
 
 /** What the stage will do: said before it does. */
-function motion({ separates, plan }) {
+function motion({ separates, plan }, reference) {
   const ends = [Math.min(...plan.elevations_deg), Math.max(...plan.elevations_deg)].map((end) => fixed(end, 1, "°"));
   const poses = plural(plan.elevations_deg.length * plan.sweeps, "pose");
   const waits = plan.wait_s > 0 ? `, with a wait of ${duration(plan.wait_s)} before each of ${plan.sweeps} sweeps` : "";
-  const names = separates.map((name) => candidateWords(name)).join(" from ");
+  const names = separates.map((name) => candidateWords(name, reference)).join(" from ");
   return `A follow-up run distinguishes ${names}. It moves the stage from ${ends.join(" to ")}: ${poses}${waits}.`;
 }
 

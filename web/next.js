@@ -118,7 +118,8 @@ async function toAccept(run, next) {
   const { effectTitle, knowEffects } = await import("./effects.js");
   await knowEffects();
   const offered = offeredOf(run);
-  const listed = (scope) => [...new Set(offered.filter(({ corrects }) => corrects === scope).map(effectTitle))];
+  const named = (effect) => effectTitle(effect, run.diagnosis.reference);
+  const listed = (scope) => [...new Set(offered.filter(({ corrects }) => corrects === scope).map(named))];
   const [ofUnit, ofRig] = [listed("unit"), listed("rig")];
   const sentences = [
     ofUnit.length && `Corrects unit ${run.unit} for: ${inSentence(ofUnit)}.`,
@@ -180,8 +181,8 @@ async function whatIsLeftOut({ diagnosis, result }) {
   await knowEffects();
   const { min, max } = result.temperature_c ?? {};
   const words = (effect) => {
-    const title = effectTitle(effect);
-    const name = effect.verdict === "ambiguous" ? suspectWords(effect) : title[0].toLowerCase() + title.slice(1);
+    const title = effectTitle(effect, diagnosis.reference);
+    const name = effect.verdict === "ambiguous" ? suspectWords(effect, diagnosis.reference) : title[0].toLowerCase() + title.slice(1);
     return `${LEFT_OUT[effect.verdict]}: ${name}, ${sizeOf(effect)}`;
   };
   const means = open.some(followsTemperature)

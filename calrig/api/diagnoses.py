@@ -155,7 +155,7 @@ class CatalogueEffect(Model):
 
     name: str
     title: str
-    sensor_title: str | None  # with a good reference, of what is the stage's without
+    sensor_title: str | None  # its title with a good reference, where that is another one
     origin: Origin
     origin_title: str
     scope: Scope

@@ -129,7 +129,7 @@ def _drawn(found: dict[str, Any], runs: Sequence[Sequence[Pose]]) -> Rows:
         residuals = drawn_residuals(runs, found["effects"], found["runs"], request)
     except DiagnosisError as error:
         raise WorkError(f"--plot: {error}") from error
-    return diagnosis_figures(residuals, found["effects"])
+    return diagnosis_figures(residuals, found)
 
 
 def _of_files(files: Sequence[str], request: DiagnosisRequest) -> Found:

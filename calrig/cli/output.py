@@ -373,7 +373,7 @@ def print_diagnosis(found: Diagnosis, *, of_files: bool) -> None:
     if found.follow_up is not None:
         sigmas = f"{found.follow_up.separation_sigma:.1f} standard errors"
         separated = [
-            EFFECTS[name].words_by("", reference_is_good=found.reference == "good").title
+            EFFECTS[name].wording(reference_is_good=found.reference == "good").title
             for name in found.follow_up.separates
         ]
         names = " and ".join(separated if len(separated) > 1 else [*separated, SAME_EFFECT])
@@ -502,21 +502,20 @@ def print_filters(found: dict[str, Any]) -> None:
 def _print_effect(effect: EffectFound, *, reference_is_good: bool) -> None:
     """Print an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effects import EFFECTS, covariate_of
-    from calrig.calibration.regression import ORIGINS
     from calrig.calibration.uncertainty import SAME_EFFECT
 
     known, covariate, changed = EFFECTS[effect.name], covariate_of(effect.covariate), effect.changed
-    own, *others = (
-        EFFECTS[name].words_by(effect.covariate, reference_is_good=reference_is_good).title
-        for name in (effect.name, *effect.confusable_with)
-    )
-    titles = [own, *(SAME_EFFECT if other == own else other for other in others)]
+    own = known.wording(reference_is_good=reference_is_good, covariate=effect.covariate)
+    others = [
+        SAME_EFFECT
+        if name == known.name
+        else EFFECTS[name].wording(reference_is_good=reference_is_good).title
+        for name in effect.confusable_with
+    ]
     against = f"against {covariate.title}" + (f" in {covariate.unit}" if covariate.unit else "")
     between = f", changed from run {changed.from_} to run {changed.to}" if changed else ""
-    heading = f"{', or '.join(titles)}{between}"
-    is_coupling = reference_is_good and effect.origin == "stage"
-    origin = "sensor or coupling" if is_coupling else ORIGINS[effect.origin]
-    print_line(f"\n{heading} ({effect.verdict}; {origin}; {against})")
+    heading = f"{', or '.join([own.title, *others])}{between}"
+    print_line(f"\n{heading} ({effect.verdict}; {own.owner}; {against})")
     for one in known.parameters:
         if not one.flag:
             unit = covariate.unit if one.unit is None else one.unit

@@ -105,11 +105,12 @@ def _one_period(wave: Mapping[str, float]) -> dict[str, Any]:
     return {**line, "line": {"color": PALETTE[1], "width": 3}}
 
 
-def diagnosis_figures(found: DrawnResiduals, effects: Sequence[Mapping[str, Any]]) -> Rows:
+def diagnosis_figures(found: DrawnResiduals, diagnosis: Mapping[str, Any]) -> Rows:
     """Return residuals before and after, by angle and by time, and each effect with its partial residual.
 
-    `effects` are those of the document, in the order of `found.effects`.
+    `diagnosis` is the document, with its effects in the order of `found.effects`.
     """
+    is_good = diagnosis["reference"] == "good"
     rows = [
         [
             (f"{when}, by {along}: RMS {angle_text(rms(left_deg))}", _left(at, left_deg, axis, colour))
@@ -121,8 +122,8 @@ def diagnosis_figures(found: DrawnResiduals, effects: Sequence[Mapping[str, Any]
         )
     ]
     cells = [
-        (_caption(effect), partial_residual(part, _wave(effect)))
-        for effect, part in zip(effects, found.effects, strict=True)
+        (_caption(effect, reference_is_good=is_good), partial_residual(part, _wave(effect)))
+        for effect, part in zip(diagnosis["effects"], found.effects, strict=True)
     ]
     return [*rows, *(cells[k : k + 2] for k in range(0, len(cells), 2))]
 
@@ -146,14 +147,14 @@ def _left(at: FloatArray, left_deg: FloatArray, axis: str, colour: str) -> Figur
     return {"data": [points], "layout": layout}
 
 
-def _caption(effect: Mapping[str, Any]) -> str:
+def _caption(effect: Mapping[str, Any], *, reference_is_good: bool) -> str:
     if effect["name"] == UNNAMED:
         return as_text(
             f"Something that follows {covariate_of(effect['covariate']).title} ({effect['verdict']})"
         )
-    title, wave = EFFECTS[effect["name"]].title_of(effect["origin"]), _wave(effect)
+    words, wave = EFFECTS[effect["name"]].wording(reference_is_good=reference_is_good), _wave(effect)
     of_period = f", period {wave['period_deg']:.5g}°" if wave else ""
-    return f"{title}{of_period} ({effect['verdict']})"
+    return f"{words.title}{of_period} ({effect['verdict']})"
 
 
 def _wave(effect: Mapping[str, Any]) -> dict[str, float] | None:

@@ -34,9 +34,9 @@ class Segment(NamedTuple):
         position = self.position_deg + dt * (self.velocity_dps + 0.5 * self.acceleration_dps2 * dt)
         return position, self.velocity_dps + self.acceleration_dps2 * dt
 
-    def scaled(self, share: float) -> Segment:
-        """The same in another unit or along another axis: every angle times a share."""
-        return Segment(self.start_s, *(share * value for value in self[1:]))
+    def scaled(self, factor: float) -> Segment:
+        """The segment with position, velocity and acceleration times a factor."""
+        return Segment(self.start_s, *(factor * value for value in self[1:]))
 
     def reach_s(self, sense: float, way_deg: float) -> float:
         """When it has covered a way, moving in `sense`."""

@@ -49,7 +49,10 @@ def _where(condition: str) -> dict[str, Any]:
 
 
 class Table(SQLModel):
-    """A table by the name of its class: of `RunOrderTable` it is `run_order`."""
+    """Base of all tables, each named after its class: `RunOrderTable` is `run_order`.
+
+    A class that is renamed needs a migration, or a name of its own, as `LimitTable` has.
+    """
 
     @declared_attr.directive
     def __tablename__(cls) -> str:  # noqa: N805 (of the class)

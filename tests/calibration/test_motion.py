@@ -100,7 +100,7 @@ def test_the_order_of_rows_is_no_history_unless_a_column_says_so():
     r = responses_of([turn()])
     assert np.abs(r.move_deg).max() == 0.0
     assert not [name for name in r.base_names if name.endswith(".first")]
-    assert any(warning.startswith("add a column time_s") for warning in r.warnings)
+    assert any(warning.startswith("no column time_s") for warning in r.warnings)
     effects = document(diagnose([turn()], bootstraps=199, cross_fit=False), ["1"])["effects"]
     assert not {e["name"] for e in effects} & {"settling", "gyro_scale", "backlash", "mount_slip"}
 

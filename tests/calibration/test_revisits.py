@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
-from calrig.calibration.diagnosis.selection import is_of_the_curve, leaves_more, with_free_curve
+from calrig.calibration.diagnosis.reselection import competing_candidates
+from calrig.calibration.diagnosis.selection import is_of_the_curve, leaves_more, search, with_free_curve
 from calrig.calibration.diagnosis.significance_test import Verdict, gate
 from calrig.calibration.diagnosis.tracing import diagnose, document
+from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import Responses, responses_of
@@ -65,6 +67,18 @@ def test_a_load_is_found_beside_a_curve_and_a_play_that_differ_along_the_range()
     size = load["parameters"]["size_deg"]
     assert size["value"] == pytest.approx(LOAD_DEG, abs=4.0 * size["std"])
     assert said["final"]["fit_rms_deg"] == pytest.approx(NOISE_DEG, rel=0.3)
+
+
+@pytest.mark.parametrize("beside_curve", [True, False])
+def test_a_fold_searches_beside_a_free_curve_if_all_poses_were_searched_so(beside_curve: bool) -> None:
+    r = responses_of([to_and_fro(1)])
+    candidates, rng = candidates_of(r), np.random.default_rng(0)
+    found = search(r, candidates, rng, bootstraps=199).found
+    rivals = competing_candidates(r, candidates, found, beside_curve=beside_curve)
+    of_fold = search(r, candidates, rng, bootstraps=270, decide_only=True, rivals=rivals)
+    assert of_fold.beside_curve is beside_curve
+    assert "load_sense" in {f.candidate.covariate for f in of_fold.found}
+    assert rms(of_fold.fitted.residuals[:, 0]) == pytest.approx(NOISE_DEG, rel=0.3)
 
 
 def test_only_what_leaves_several_times_the_noise_is_looked_at_again() -> None:

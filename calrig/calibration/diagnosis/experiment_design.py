@@ -218,7 +218,7 @@ class _Trial:
         if len(there) - len(unknown) >= 2:
             return ""
         untold = " and ".join(dict.fromkeys(words_of(r, one) for one in unknown))
-        return f"how {untold} acts in other poses is not known from these"
+        return f"these poses do not determine how {untold} acts at other elevations or times"
 
     def _with(self, elevations_deg: Sequence[float], wait_s: float) -> Responses:
         return responses_of([*self._runs, self._imagined(elevations_deg, wait_s)], request=self._request)

@@ -152,7 +152,7 @@ def without_harm(
             return "held-out poses", rms(held_out.base_deg), rms(held_out.final_deg)
         before_deg, after_deg = fit_rms_deg(r, those)
         if not after_deg < before_deg:
-            return "fitted poses", before_deg, after_deg
+            return "the fitted poses", before_deg, after_deg
         if along == TIME and not rms(errors(those)) < rms(errors(())):
             return "held-out blocks of time", rms(errors(())), rms(errors(those))
         return None
@@ -177,13 +177,9 @@ def without_harm(
     if not dropped:
         return findings, again, []
     which, before_deg, after_deg = harm
-    it = "it" if len(dropped) == 1 else "them"
-    why = f"the error on {which} is no smaller with {it}"
-    if which == "fitted poses":
-        why = f"with {it} the model leaves no less of the poses it was fitted to than bias and scale alone"
     warning = (
-        f"{', '.join(dropped)}: significant, but not listed, since {why}: "
-        f"RMS {before_deg:#.3g}° before and {after_deg:#.3g}° after"
+        f"{', '.join(dropped)}: significant, but not listed, since the error on {which} is no smaller with "
+        f"all effects found: RMS {before_deg:#.3g}° before and {after_deg:#.3g}° after"
     )
     return with_effects(findings, found), again, [warning]
 

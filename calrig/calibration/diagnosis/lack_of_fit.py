@@ -27,10 +27,10 @@ from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
 LEVEL = 0.01
-SLOW, FAR = 0.3, 4.0
-"""Correlation from pose to pose of what is slow, at least; and in standard errors of that of white noise."""
+SLOW, STANDARD_ERRORS = 0.3, 4.0
+"""Least lag-1 correlation of a slow residual; the same in standard errors of that of white noise."""
 WANDERS = 1.5
-"""Times one error, another is more than that."""
+"""Ratio of two errors from which one counts as larger."""
 SEVERAL = 2.0
 """Times the pure error: a residual as large is spoken of also where few poses let no test reject."""
 SAME_TARGET_DEG = 0.05
@@ -87,7 +87,7 @@ class LackOfFit:
     @property
     def is_slow(self) -> bool:
         """Whether the residual is correlated from pose to pose, far beyond what white noise may be."""
-        return self.lag1_correlation >= max(SLOW, FAR / math.sqrt(self.residual.freedom))
+        return self.lag1_correlation >= max(SLOW, STANDARD_ERRORS / math.sqrt(self.residual.freedom))
 
 
 def lack_of_fit(
@@ -208,20 +208,23 @@ def _together(dwell: Spread, revisits: Spread) -> Spread:
     return Spread(math.sqrt(power / freedom), freedom)
 
 
-def warning_of(lack: LackOfFit, *, found: bool, temperature: bool) -> str | None:
+def warning_of(lack: LackOfFit, *, found: bool, temperature: bool, in_order: bool = True) -> str | None:
     """How large and how slow the rest is, and which experiment would show it; None where nothing lacks.
 
     Args:
         lack: of the final model.
         found: whether an effect is in it.
         temperature: whether the poses have one.
+        in_order: whether the rows are in the order of time; else neighbours are those of a sorted table.
     """
     those = "the effects" if found else "bias and scale"
     if lack.pure is None and lack.is_slow:
+        means = _experiment(lack, temperature) if in_order else "repeat elevations, and add time_s"
         return (
-            f"no pose tells how large the noise is, but what {those} leave hardly changes from pose to pose: "
-            f"RMS {angle_text(lack.residual.std_deg)}, correlated by {lack.lag1_correlation:.2f}. Noise that "
-            f"wanders, or an effect that these poses do not tell from it; {_experiment(lack, temperature)}"
+            "the noise is unknown: too few poses state a standard error or are revisited. What "
+            f"{those} leave is correlated by {lack.lag1_correlation:.2f} from pose to pose "
+            f"(RMS {angle_text(lack.residual.std_deg)}), by correlated noise or by an effect that these "
+            f"poses cannot separate from it; {means}"
         )
     if not lack.rejects or lack.pure is None:
         return None

@@ -222,7 +222,7 @@ def model_words(findings: Findings) -> str:
 def words_of(r: Responses, candidate: Candidate) -> str:
     """Return what a sentence calls a candidate of these poses: its title, as its heading has it."""
     covariate = candidate.covariate
-    words = candidate.effect.words_by(covariate, reference_is_good=r.reference_is_good)
+    words = candidate.effect.wording(reference_is_good=r.reference_is_good, covariate=covariate)
     title = f"{words.title[0].lower()}{words.title[1:]}"
     of = "" if candidate.named else f" that follows {covariate_of(covariate).title}"
     return f"{title}{of}{in_words(candidate.changed)}"
@@ -239,7 +239,7 @@ def _document(
 ) -> dict[str, Any]:
     effect = candidate.effect
     beta, covariance = fitted.beta[at], fitted.covariance[at, at]
-    words = effect.words_by(candidate.covariate, reference_is_good=r.reference_is_good)
+    words = effect.wording(reference_is_good=r.reference_is_good, covariate=candidate.covariate)
     parameters = effect.documented(candidate.shape, beta, covariance)
     return {
         "name": candidate.name,

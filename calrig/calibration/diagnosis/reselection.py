@@ -45,12 +45,12 @@ COMPETING_SHARE = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Rivals:
-    """What a search of all poses leaves to be compared with its effects.
+    """What a fold takes from the search of all poses.
 
     Attributes:
         labels: of competing candidates, by the label of the effect.
         places: keys of scanned candidates that compete with any of the effects.
-        beside_curve: whether it searched first for what no free curve explains.
+        beside_curve: whether the model that was kept was searched for beside a free curve first.
     """
 
     labels: Mapping[str, Collection[str]]

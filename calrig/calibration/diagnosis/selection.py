@@ -331,17 +331,18 @@ def _search_one_run(
 ) -> Findings:
     """Search one run; if too much is left, search again, first for what no free curve explains.
 
-    The model of the smaller penalised criterion on the same poses is returned. A fold takes the way that the
-    search of all poses took.
+    The model of the smaller penalised criterion on the same poses is returned. A fold makes only the search
+    whose model was kept of all poses; with too few poses for a free curve, the first one.
     """
-    if rivals is not None and rivals.beside_curve:
-        again = _beside_free_curve(r, candidates, judge, rivals, noises)
+    if rivals is not None and rivals.beside_curve:  # at a level that the draws of a fold can reach
+        again = _beside_free_curve(r, candidates, partial(judge, level=AT_FIRST * LEVEL), rivals, noises)
         if again is not None:
             return again
     first = _search(r, candidates, partial(judge, level=AT_FIRST * LEVEL), rivals=rivals, noises=noises)
     r = first.responses
     if rivals is not None or not leaves_more(r, first.fitted.residuals[:, 0]):
         return first
+    judge = partial(judge, level=(1.0 - AT_FIRST) * LEVEL)
     again = _beside_free_curve(r, [c.rows(first.kept) for c in candidates], judge, rivals, noises)
     if again is None:
         return first
@@ -363,7 +364,6 @@ def _beside_free_curve(
     if free is None:
         return None
     others = [c for c in candidates if not is_of_the_curve(c)]
-    judge = partial(judge, level=(1.0 - AT_FIRST) * LEVEL)
     between = _search(free, others, judge, rivals=rivals, noises=noises)
     kept = between.kept
     curves = [c.rows(kept) for c in candidates if is_of_the_curve(c)]

@@ -132,7 +132,8 @@ def diagnose(
     _require_that_readings_follow(findings)  # without what has left since, too
     lack = _lack_of_fit(kept, findings)
     has_temperature = any(pose.temperature_c is not None for run in kept for pose in run)
-    said = warning_of(lack, found=bool(findings.found), temperature=has_temperature)
+    in_order = not left.starts.all()
+    said = warning_of(lack, found=bool(findings.found), temperature=has_temperature, in_order=in_order)
     told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
     derived = [DERIVED_APPROACH] if is_derived and _rests_on_approach(findings) else []
     warnings = (*outliers, *incomplete, *derived, *r.warnings, *harm, *told)

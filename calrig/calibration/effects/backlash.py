@@ -19,8 +19,8 @@ from calrig.calibration.regression.effect import (
     NotInFlight,
     Parameter,
     Parameters,
-    SensorTerm,
     Shape,
+    Wording,
 )
 from calrig.calibration.regression.motion import slack_deg
 from calrig.calibration.regression.responses import Responses
@@ -109,8 +109,9 @@ EFFECT = Effect(
     apart="random order tells it from settling, reversals smaller than it from hysteresis of the mount",
     remedy="approach every elevation from the same side, or preload the gear with a spring",
     possible=_possible,
-    as_sensor=SensorTerm(
+    as_sensor=Wording(
         "Hysteresis of sensor or coupling",
         "approach every elevation from the same side, or take up the play of coupling, gear and mount",
+        "sensor or coupling",
     ),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, SensorTerm, Shape
+from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Shape, Wording
 from calrig.calibration.regression.run_changes import RUN
 from calrig.calibration.regression.terms import turned, turns
 
@@ -20,5 +20,5 @@ EFFECT = Effect(
     apart="the unit measured on another stage does not have it",
     seen_by_gravity="the gyro measures it and |accelerometer| does not, but changes with an offset along z",
     remedy="compare the stages, or the steps per degree that they are set to",
-    as_sensor=SensorTerm("Another scale of the reading", "compare the settings of sensor and reference"),
+    as_sensor=Wording("Another scale of the reading", "compare the settings of sensor and reference"),
 )

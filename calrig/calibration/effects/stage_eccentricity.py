@@ -11,8 +11,8 @@ from calrig.calibration.regression.effect import (
     Effect,
     Parameter,
     Parameters,
-    SensorTerm,
     Shape,
+    Wording,
     sin_cos,
 )
 from calrig.calibration.regression.responses import Responses
@@ -65,7 +65,7 @@ EFFECT = Effect(
     remedy="re-centre the scale or the mount on the axis, or correct by the rig error map",
     reported=amplitude_and_phase,
     possible=amplitude_within(LARGEST_AMPLITUDE_DEG),
-    as_sensor=SensorTerm(
+    as_sensor=Wording(
         "Eccentricity of the sensor", "correct by the unit's calibration; centre the magnet or the disc"
     ),
 )

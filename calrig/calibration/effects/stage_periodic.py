@@ -21,8 +21,8 @@ from calrig.calibration.regression.effect import (
     Effect,
     Parameter,
     Parameters,
-    SensorTerm,
     Shape,
+    Wording,
 )
 from calrig.calibration.regression.motion import kept_in_mean
 from calrig.calibration.regression.responses import Responses
@@ -376,7 +376,7 @@ EFFECT = Effect(
     settled=_settled,
     look_alikes=_look_alikes,
     distinct=_apart,
-    as_sensor=SensorTerm(
+    as_sensor=Wording(
         "Periodic error of the sensor",
         "correct by the unit's calibration; look at how the sensor is centred, its channels and its poles",
     ),

@@ -24,8 +24,8 @@ from calrig.calibration.regression.effect import (
     Effect,
     Parameter,
     Parameters,
-    SensorTerm,
     Shape,
+    Wording,
 )
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.spline import (
@@ -453,7 +453,7 @@ EFFECT = Effect(
     evidence=_evidence,
     apart="what the column stands for, once somebody has looked",
     remedy="look at what changes with this column",
-    as_sensor=SensorTerm(
+    as_sensor=Wording(
         "Nonlinearity without a name", "where it is a smooth curve, correct it by the unit's calibration"
     ),
 )

@@ -270,11 +270,12 @@ class NotInFlight:
 
 
 @dataclass(frozen=True, slots=True)
-class SensorTerm:
-    """What an effect is called, and what to do, if the reference is good."""
+class Wording:
+    """What an effect is called, what to do, and whose it is."""
 
     title: str
     remedy: str
+    owner: str = ORIGINS["sensor"]
 
 
 def linear(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
@@ -352,7 +353,7 @@ class Effect:
     possible: Callable[[Shape, FloatArray], bool] = lambda _shape, _beta: True
     follows: str | None = None
     together_with: tuple[str, ...] = ()
-    as_sensor: SensorTerm | None = None
+    as_sensor: Wording | None = None
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
         """Goes to another process by its name: the catalogue there has it."""
@@ -378,12 +379,12 @@ class Effect:
         of_sensor = self.as_sensor is not None and origin == "sensor" and self.origin != "sensor"
         return self.as_sensor.title if of_sensor and self.as_sensor else self.title
 
-    def words_by(self, covariate: str, *, reference_is_good: bool) -> SensorTerm:
-        """Return what it is called and what to do; a shape without a name has a covariate of its own."""
+    def wording(self, *, reference_is_good: bool, covariate: str = "") -> Wording:
+        """Return what it is called, what to do, whose it is; a shape without a name needs its covariate."""
         is_other = self.origin == "unknown" and covariate != ELEVATION.name
         if reference_is_good and self.as_sensor and not is_other:
             return self.as_sensor
-        return SensorTerm(self.title, self.remedy)
+        return Wording(self.title, self.remedy, ORIGINS[self.origin])
 
     def turns_the_sensor(self, parameters: Parameters) -> bool:
         """Return whether an applied effect turns the sensor itself."""

@@ -48,8 +48,8 @@ from calrig.estimation.angles import FloatArray
 
 FEWEST_POSES = 8
 NO_HISTORY = (
-    "add a column time_s, or else pass or approach: without one the order of the poses is not known. "
-    "Effects of time and of moves were not looked for"
+    "no column time_s, pass or approach gives the order of the poses: effects of time and of moves were not "
+    "looked for; add time_s"
 )
 """Noise may be correlated from row to row all the same, unless the rows are sorted: a gate that denied it
 would raise false alarms in a table that was measured in its order, and allowing for it names nothing."""
