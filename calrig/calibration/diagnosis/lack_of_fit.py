@@ -223,8 +223,8 @@ def warning_of(lack: LackOfFit, *, found: bool, temperature: bool, in_order: boo
         return (
             "the noise is unknown: too few poses state a standard error or are revisited. What "
             f"{those} leave is correlated by {lack.lag1_correlation:.2f} from pose to pose "
-            f"(RMS {angle_text(lack.residual.std_deg)}), by correlated noise or by an effect that these "
-            f"poses cannot separate from it; {means}"
+            f"(RMS {angle_text(lack.residual.std_deg)}): correlated noise, or an effect that these poses "
+            f"cannot separate from it; {means}"
         )
     if not lack.rejects or lack.pure is None:
         return None
