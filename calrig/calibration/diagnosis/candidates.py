@@ -239,14 +239,13 @@ def harmonics_of(r: Responses, accepted: Sequence[Candidate]) -> list[Candidate]
     found = []
     for first in accepted:
         if first.changed is None:
-            terms = [c for c in further_terms(r, first) if all(c.is_distinct(r, o) for o in accepted)]
+            terms = [c for c in _further_terms(r, first) if all(c.is_distinct(r, o) for o in accepted)]
             found += [*terms, *_series(r, terms)]
     return found
 
 
 @lru_cache(maxsize=KEPT)
-def further_terms(r: Responses, first: Candidate) -> list[Candidate]:
-    """Return the further terms of one cause, such as the harmonics of a worm, once the first is found."""
+def _further_terms(r: Responses, first: Candidate) -> list[Candidate]:
     return [
         candidate_of(r, first.effect, shape)
         for at in first.effect.harmonics(r, first.shape)

@@ -225,8 +225,7 @@ def _words(name: str, *, reference_is_good: bool) -> str:
         return UNKNOWN_EFFECT
     if name not in EFFECTS:
         return name.replace("_", " ")
-    title = EFFECTS[name].wording(reference_is_good=reference_is_good).title
-    return title[0].lower() + title[1:]
+    return EFFECTS[name].wording(reference_is_good=reference_is_good).inside
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

@@ -223,9 +223,8 @@ def words_of(r: Responses, candidate: Candidate) -> str:
     """Return what a sentence calls a candidate of these poses: its title, as its heading has it."""
     covariate = candidate.covariate
     words = candidate.effect.wording(reference_is_good=r.reference_is_good, covariate=covariate)
-    title = f"{words.title[0].lower()}{words.title[1:]}"
     of = "" if candidate.named else f" that follows {covariate_of(covariate).title}"
-    return f"{title}{of}{in_words(candidate.changed)}"
+    return f"{words.inside}{of}{in_words(candidate.changed)}"
 
 
 def _whole_form(r: Responses, candidate: Candidate) -> Candidate:

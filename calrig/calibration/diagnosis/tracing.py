@@ -119,8 +119,7 @@ def diagnose(
     if cross_fit:
         of_kept = [c.rows(findings.kept) for c in candidates]
         of_folds = within(progress, 1.0 / (1.0 + FOLDS), 1.0)  # the search over all poses has been done
-        by_curve = findings.beside_curve
-        rivals = competing_candidates(left, of_kept, findings.found, beside_curve=by_curve)
+        rivals = competing_candidates(left, of_kept, findings.found, beside_curve=findings.beside_curve)
         held_out = cross_validate(left, of_kept, rng, rivals, findings.noises, of_folds)
         findings, held_out, harm = without_harm(findings, held_out)
         if harm:  # what is left is judged without the effects that left

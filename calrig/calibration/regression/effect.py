@@ -277,6 +277,11 @@ class Wording:
     remedy: str
     owner: str = ORIGINS["sensor"]
 
+    @property
+    def inside(self) -> str:
+        """The title inside a sentence."""
+        return f"{self.title[0].lower()}{self.title[1:]}"
+
 
 def linear(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
     """Coefficients as they are, with their standard errors."""
