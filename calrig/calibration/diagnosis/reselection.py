@@ -80,7 +80,7 @@ def competing_candidates(
     every = {*labels, *(" + ".join(two) for two in permutations(labels, 2))}
     near: dict[str, set[str]] = {label: set(every) for label in labels}
     scanned = [c for c in candidates if _is_scanned(c)]
-    places = {_key(c) for c in scanned if any(_is_at_place_of(r, c, f.candidate) for f in found)}
+    places = {place_of(c) for c in scanned if any(_is_at_place_of(r, c, f.candidate) for f in found)}
     for f in found:
         near[f.candidate.label].update(label for label, behind in f.considered if behind < HOPELESS)
         if scanned:
@@ -89,7 +89,7 @@ def competing_candidates(
             several = [*offered(model.responses, scanned, others, set()), f.candidate]
             ratios = Screen(r, model.columns, several, model.fitted.noise).once(model.fitted.residuals)
             close = np.flatnonzero(ratios >= COMPETING_SHARE * ratios[-1])
-            places.update(_key(several[k]) for k in close.tolist())
+            places.update(place_of(several[k]) for k in close.tolist())
     return Rivals(near, places, beside_curve)
 
 
@@ -98,15 +98,16 @@ def _is_scanned(candidate: Candidate) -> bool:
     return candidate.beside is None and candidate.shape.scanned
 
 
-def _key(candidate: Candidate) -> object:
-    return candidate.label, candidate.shape.form, tuple(candidate.shape.at.items())
+def place_of(candidate: Candidate) -> object:
+    """Return what tells a candidate from all others: names, forms and places."""
+    return tuple((c.label, c.shape.form, tuple(c.shape.at.items())) for c in candidate.members)
 
 
 def _is_at_place_of(r: Responses, c: Candidate, other: Candidate) -> bool:
     """Return whether a candidate is another one at its place, or so near that these poses see one."""
     if c.label != other.label or c.beside is not None:
         return False
-    return _key(c) == _key(other) if c.effect.distinct is None else not c.is_distinct(r, other)
+    return place_of(c) == place_of(other) if c.effect.distinct is None else not c.is_distinct(r, other)
 
 
 def near_among(
@@ -116,7 +117,7 @@ def near_among(
     near = None if rivals is None else rivals.labels.get(one.candidate.label)
     if rivals is None or near is None:
         return candidates
-    return [c for c in candidates if c.label in near and (not _is_scanned(c) or _key(c) in rivals.places)]
+    return [c for c in candidates if c.label in near and (not _is_scanned(c) or place_of(c) in rivals.places)]
 
 
 def penalised_criterion(r: Responses, model: Sequence[Candidate]) -> float:
@@ -235,7 +236,7 @@ def reselected(
         known: how many of the first were found in another base, and stay.
         rivals: competing candidates, where they are known; else all candidates compete.
         fresh: an effect that was just compared with the same others in the model.
-        curves: whether curves may replace the orders of a turn.
+        curves: whether curves may replace the orders of a turn; then only these are compared.
         thorough: whether rivals, leads and places that look alike are wanted of every effect.
     """
     if len(found) == known + 1:
@@ -245,7 +246,7 @@ def reselected(
         before = [f.candidate.label for f in found]
         for one in found[known:]:
             others = _places(_others(found, one))
-            if held.get(one) == others:
+            if held.get(one) == others or (curves and not one.candidate.shape.series):
                 continue
             near = near_among(candidates, one, rivals)
             found = _against_rivals(r, near, found, one, thorough=thorough, curves=curves)
@@ -325,9 +326,9 @@ def with_known_places(
     Each was refined while other effects were missing, so all are tried at once, then one by one. Between two
     known values, such as orders 6 and 7 of one turn, one may stand for both.
     """
-    there = {_key(f.candidate) for f in found}
+    there = {place_of(f.candidate) for f in found}
     known = [c for c in candidates if c.shape.series and not c.shape.scanned and c.beside is None]
-    known = [c for c in known if _key(c) not in there]
+    known = [c for c in known if place_of(c) not in there]
     beside = {f.candidate: _beside(r, f.candidate, known) for f in found}
     nearest = {c: near[:1] for c, near in beside.items() if near}
     both = {c: near for c, near in beside.items() if len(near) == 2}

@@ -37,6 +37,7 @@ from calrig.calibration.diagnosis.reselection import (
     is_on_trial,
     needed_terms,
     offered,
+    place_of,
     pruned,
     reselected,
     with_known_places,
@@ -231,12 +232,7 @@ def is_of_the_curve(candidate: Candidate) -> bool:
 
 
 def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
-    """Return whether a model leaves several times the pose-to-pose difference about free curves.
-
-    Args:
-        r: the poses.
-        residual_deg: (n,) of their readings.
-    """
+    """Return whether residuals (n,) are several times the pose-to-pose difference about free curves."""
     free = with_free_curve(r)
     if free is None or r.starts.all():
         return False
@@ -276,6 +272,11 @@ class Findings:
     least_p_value: float
     noises: Noises = field(default_factory=dict)
     beside_curve: bool = False
+
+    @property
+    def places(self) -> frozenset[object]:
+        """What tells the model from others of the same poses."""
+        return frozenset(place_of(f.candidate) for f in self.found)
 
 
 def search(
@@ -334,22 +335,23 @@ def _search_one_run(
     The model of the smaller penalised criterion on the same poses is returned. A fold makes only the search
     whose model was kept of all poses; with too few poses for a free curve, the first one.
     """
+    at_first = partial(judge, level=AT_FIRST * LEVEL)
     if rivals is not None and rivals.beside_curve:  # at a level that the draws of a fold can reach
-        again = _beside_free_curve(r, candidates, partial(judge, level=AT_FIRST * LEVEL), rivals, noises)
+        again = _beside_free_curve(r, candidates, at_first, rivals, noises)
         if again is not None:
             return again
-    first = _search(r, candidates, partial(judge, level=AT_FIRST * LEVEL), rivals=rivals, noises=noises)
-    r = first.responses
-    if rivals is not None or not leaves_more(r, first.fitted.residuals[:, 0]):
-        return first
     judge = partial(judge, level=(1.0 - AT_FIRST) * LEVEL)
-    again = _beside_free_curve(r, [c.rows(first.kept) for c in candidates], judge, rivals, noises)
-    if again is None:
-        return first
-    drawn = {**again.noises, **first.noises}
-    if len(again.kept) < len(r) or _criterion(again) >= _criterion(first):
-        return replace(first, noises=drawn)
-    return replace(again, kept=first.kept[again.kept], noises=drawn)
+
+    def better(first: Findings) -> Findings | None:
+        r = first.responses
+        if not leaves_more(r, first.fitted.residuals[:, 0]):
+            return None
+        again = _beside_free_curve(r, [c.rows(first.kept) for c in candidates], judge, rivals, noises)
+        if again is None or len(again.kept) < len(first.kept) or _criterion(again) >= _criterion(first):
+            return None
+        return replace(again, kept=first.kept[again.kept], noises={**again.noises, **first.noises})
+
+    return _search(r, candidates, at_first, rivals=rivals, noises=noises, better=None if rivals else better)
 
 
 def _beside_free_curve(
@@ -370,24 +372,23 @@ def _beside_free_curve(
     judge = partial(judge, noise=_noise_left_by(between))
     again = _search(r.rows(kept), curves, judge, between.found, rivals, noises)
     kept, curves = kept[again.kept], [c.rows(again.kept) for c in curves]
-    bent = _with_curves(again, curves, len(between.found))
-    if not _are_same(bent.found, again.found):  # beside a curve more may be seen
+    bent = _with_curves(again, curves, len(between.found), rivals)
+    if bent.places != again.places:  # beside a curve more may be seen
         known, begun = bent.found[: len(between.found)], bent.found[len(between.found) :]
         more = _search(bent.responses, curves, judge, known, rivals, noises, begun)
         again, kept = replace(more, noises={**more.noises, **again.noises}), kept[more.kept]
     return replace(again, kept=kept, noises={**again.noises, **between.noises}, beside_curve=True)
 
 
-def _are_same(found: Sequence[SelectedEffect], others: Sequence[SelectedEffect]) -> bool:
-    return {_place_of(f.candidate) for f in found} == {_place_of(f.candidate) for f in others}
-
-
-def _with_curves(findings: Findings, candidates: Sequence[Candidate], known: int) -> Findings:
+def _with_curves(
+    findings: Findings, candidates: Sequence[Candidate], known: int, rivals: Rivals | None
+) -> Findings:
     """Replace orders of the turn by curves, in poses that do not cover a turn, where these explain more."""
     r = findings.responses
     if goes_round(r):
         return findings
-    found = reselected(r, candidates, list(findings.found), known, curves=True)
+    found = list(findings.found)
+    found = reselected(r, candidates, found, known, rivals, curves=True, thorough=rivals is None)
     found, _ = eliminated(r, found, known)
     model = fitted_model(r, [f.candidate for f in found])
     return replace(findings, found=tuple(found), fitted=model.fitted, columns=model.columns)
@@ -459,10 +460,12 @@ def _search(
     rivals: Rivals | None = None,
     noises: Noises = MappingProxyType({}),
     begun: Sequence[SelectedEffect] = (),
+    better: Callable[[Findings], Findings | None] | None = None,
 ) -> Findings:
     """Search in one base, with the `known` effects in the model from the start; `judge` tests significance.
 
-    So are those `begun` with, which need not stay.
+    So are those `begun` with, which need not stay. What is `better` than the effects before these are
+    compared thoroughly is returned instead.
 
     In each round the model is fitted and all candidates are tested. Outliers are left out; else the best
     significant candidate enters and all effects are reselected; inadmissible or needless ones leave. The
@@ -479,7 +482,7 @@ def _search(
     earlier: Verdict | None = None  # of the same model, before the last candidate was refused
     while True:
         accepted = [f.candidate for f in found]
-        state = len(kept), frozenset(refused), frozenset(_place_of(c) for c in accepted)
+        state = len(kept), frozenset(refused), frozenset(place_of(c) for c in accepted)
         if state in met:
             break
         model = fitted_model(r, accepted)
@@ -505,23 +508,47 @@ def _search(
         if not steps:
             if rivals is not None or is_compared:
                 break
+            instead, better = better and better(_findings(r, kept, found, verdict, judged)), None
+            if instead:
+                return instead
             found, is_compared = _compared(r, candidates, found, len(known))
             continue
         is_compared = False
-        fresh = steps[0] if rivals is not None and len(steps) == 1 else None
-        entered = reselected(r, candidates, [*found, *steps], len(known), rivals, fresh=fresh, thorough=False)
-        entered = with_known_places(r, candidates, entered)
-        if found:
-            admissible = admitted(r, found, entered, len(known))
-            if admissible is None:
-                refused.add(steps[0].candidate.label)
-                earlier = verdict
-                continue
-            entered = admissible
+        entered = _with_steps(r, candidates, found, steps, len(known), rivals)
+        if entered is None:
+            refused.add(steps[0].candidate.label)
+            earlier = verdict
+            continue
         found, dropped = eliminated(r, entered, len(known))
         refused.update(dropped)
+    findings = _findings(r, kept, found, verdict, judged)
+    return (better and better(findings)) or findings
+
+
+def _findings(
+    r: Responses,
+    kept: npt.NDArray[np.intp],
+    found: Sequence[SelectedEffect],
+    verdict: Verdict,
+    judged: _Judge,
+) -> Findings:
     model = fitted_model(r, [f.candidate for f in found])
     return Findings(r, kept, tuple(found), model.fitted, model.columns, verdict.least_p_value, judged.drawn)
+
+
+def _with_steps(
+    r: Responses,
+    candidates: Sequence[Candidate],
+    found: list[SelectedEffect],
+    steps: Sequence[SelectedEffect],
+    known: int,
+    rivals: Rivals | None,
+) -> list[SelectedEffect] | None:
+    """Return the effects with those that enter, all reselected; None where they cannot be true together."""
+    fresh = steps[0] if rivals is not None and len(steps) == 1 else None
+    entered = reselected(r, candidates, [*found, *steps], known, rivals, fresh=fresh, thorough=False)
+    entered = with_known_places(r, candidates, entered)
+    return admitted(r, found, entered, known) if found else entered
 
 
 def _compared(
@@ -557,11 +584,6 @@ def _entering(
     elif best.considered and companions_of([best.candidate]):
         steps = tested_pair(r, model, best, judged)
     return [step.at_elevations_of(r) for step in steps], None if steps else best.candidate.label
-
-
-def _place_of(candidate: Candidate) -> object:
-    """Return what tells a candidate from all others: names, forms and places."""
-    return tuple((c.label, c.shape.form, tuple(c.shape.at.items())) for c in candidate.members)
 
 
 def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
