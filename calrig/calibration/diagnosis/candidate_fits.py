@@ -287,7 +287,7 @@ def slope(r: Responses, candidate: Candidate, beta: FloatArray) -> FloatArray:
     """Return (n, J, 1) change of what a candidate adds with its effect's place, at coefficients beta (p,)."""
     name, at = candidate.effect.place, candidate.shape.at
     nudge = NUDGE * abs(at[name])
-    above, below = (_moved(r, candidate, {**at, name: at[name] + side}) for side in (nudge, -nudge))
+    above, below = (moved(r, candidate, {**at, name: at[name] + side}) for side in (nudge, -nudge))
     change = (above.columns - below.columns) @ beta / (2.0 * nudge)
     return np.asarray(change[:, :, None], dtype=np.float64)
 
@@ -358,10 +358,10 @@ def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate)
         place = best.candidate.shape.at[name]
         start = best
         while abs(step) > CLOSE * std and abs(step) < 0.5 * abs(place):
-            moved = _moved(r, candidate, {**start.candidate.shape.at, name: place + step})
-            trial = yield from _fitted_at(moved)
-            is_better = trial.criterion < start.criterion and moved.effect.carried(r, moved.shape)
-            if is_better and is_distinct_from(r, accepted, moved):
+            there = moved(r, candidate, {**start.candidate.shape.at, name: place + step})
+            trial = yield from _fitted_at(there)
+            is_better = trial.criterion < start.criterion and there.effect.carried(r, there.shape)
+            if is_better and there.is_distinct_from_all(r, accepted):
                 best = trial
                 break
             step /= 4.0
@@ -371,8 +371,8 @@ def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate)
         _, std = yield from _step(r, best)
     at = candidate.effect.settled(best.candidate.shape.at, {name: std})
     if at != best.candidate.shape.at:
-        settled = _moved(r, candidate, at)
-        if is_distinct_from(r, accepted, settled):
+        settled = moved(r, candidate, at)
+        if settled.is_distinct_from_all(r, accepted):
             best = yield from _fitted_at(settled)
     here = best.candidate
     is_known = here.shape.series == THE_TURN and not here.shape.scanned
@@ -390,11 +390,6 @@ def _step(r: Responses, one: Refined) -> Generator[_Wanted, _Answer, tuple[float
     columns = np.concatenate([one.candidate.columns, slope(r, one.candidate, one.own)], axis=2)
     answer = yield _Wanted(one.candidate, columns, with_variance=True)
     return float(answer.own[-1]), math.sqrt(max(answer.variance, 0.0))
-
-
-def is_distinct_from(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> bool:
-    """Return whether a candidate can be in one model with each of the accepted ones."""
-    return all(candidate.is_distinct(r, other) for other in accepted)
 
 
 def is_at_bound(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> bool:
@@ -416,7 +411,7 @@ def is_at_bound(r: Responses, accepted: Sequence[Candidate], candidate: Candidat
     return abs(step) > BOUND * std and not is_carried(at[name] + step)
 
 
-def _moved(r: Responses, candidate: Candidate, at: Parameters) -> Candidate:
+def moved(r: Responses, candidate: Candidate, at: Parameters) -> Candidate:
     """Return the same form at another place."""
     (shape,) = candidate.effect.forms(r, at)
     return candidate_at(r, candidate, shape)

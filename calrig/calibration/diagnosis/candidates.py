@@ -12,7 +12,7 @@ import numpy as np
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
 from calrig.calibration.regression.channels import ANGLE, READING
-from calrig.calibration.regression.effect import ELEVATION, HIDDEN, Effect, Parameters, Shape
+from calrig.calibration.regression.effect import ELEVATION, HIDDEN, OF, Effect, Parameters, Shape
 from calrig.calibration.regression.responses import Change, Responses
 from calrig.calibration.regression.run_changes import (
     MANY_CHANGES,
@@ -138,10 +138,19 @@ class Candidate:
 
     def is_distinct(self, r: Responses, other: Candidate) -> bool:
         """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
-        distinct, one, another = self.effect.distinct, self.changed, other.changed
-        if distinct is None or (one is not another and in_words(one) != in_words(another)):
+        return self.is_distinct_from_all(r, [other])
+
+    def is_distinct_from_all(self, r: Responses, others: Sequence[Candidate]) -> bool:
+        """Whether it can be in one model with each of the others."""
+        resolved, change = self.effect.resolved, in_words(self.changed)
+        if resolved is None:
             return True
-        return distinct(r, self.shape, other.shape)
+        here = resolved(r, self.shape)
+        return not any(
+            abs(here - resolved(r, other.shape)) < 1.0
+            for other in others
+            if in_words(other.changed) == change
+        )
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """Return the same candidate in some of the poses."""
@@ -239,9 +248,22 @@ def harmonics_of(r: Responses, accepted: Sequence[Candidate]) -> list[Candidate]
     found = []
     for first in accepted:
         if first.changed is None:
-            terms = [c for c in _further_terms(r, first) if all(c.is_distinct(r, o) for o in accepted)]
+            terms = [c for c in _further_terms(r, first) if c.is_distinct_from_all(r, accepted)]
             found += [*terms, *_series(r, terms)]
     return found
+
+
+def term_alike(r: Responses, first: Candidate, other: Candidate) -> Candidate | None:
+    """Return the further term of a cause, as of a worm, that these poses do not tell from another effect."""
+    if other is first or other.label != first.label or first.beside or first.changed:
+        return None
+    return next((term for term in _further_terms(r, first) if not term.is_distinct(r, other)), None)
+
+
+def follows(term: Candidate, first: Candidate) -> bool:
+    """Return whether a candidate is a further term of another one, at a place that moves with it."""
+    there = term.shape.at.get(OF)
+    return term.label == first.label and there is not None and there == first.shape.at[first.effect.place]
 
 
 @lru_cache(maxsize=KEPT)
@@ -265,7 +287,7 @@ def orders_beside(
         return []
     orders = [c for c in candidates if c.shape.series == THE_TURN and c.beside is None and c.changed is None]
     present = {c.label for c in accepted if not c.shape.at}
-    left = [c for c in orders if c.label not in present and all(c.is_distinct(r, o) for o in accepted)]
+    left = [c for c in orders if c.label not in present and c.is_distinct_from_all(r, accepted)]
     return _series(r, left)
 
 

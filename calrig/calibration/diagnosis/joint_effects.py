@@ -298,7 +298,7 @@ def _problem(runs: Sequence[RunOfEffects], effects: Sequence[AppliedEffect]) -> 
 
 def _is_same(r: Responses, one: Candidate, other: Candidate) -> bool:
     """Whether two effects are one: of one name, and these poses do not tell their places apart."""
-    return one.kind == other.kind and (one.effect.distinct is None or not one.is_distinct(r, other))
+    return one.kind == other.kind and (one.effect.resolved is None or not one.is_distinct(r, other))
 
 
 def _of_run(r: Responses, number: int, document: Mapping[str, Any]) -> Candidate | None:

@@ -14,7 +14,6 @@ from calrig.calibration.diagnosis.candidate_fits import (
     fitted_beside,
     is_at_bound,
     is_delay,
-    is_distinct_from,
     refined,
 )
 from calrig.calibration.diagnosis.candidates import (
@@ -236,7 +235,7 @@ def _alike(
         for shape in effect.forms(r, at)
     ]
     for criterion, own, other in refined(r, accepted, alike):
-        carried = is_distinct_from(r, accepted, other) and effect.carried(r, other.shape)
+        carried = other.is_distinct_from_all(r, accepted) and effect.carried(r, other.shape)
         if carried and other.is_possible(own):
             found.append((criterion, other))
     least = min(criterion for criterion, _ in found)

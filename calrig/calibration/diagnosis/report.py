@@ -27,14 +27,15 @@ from typing import Any
 
 import numpy as np
 
-from calrig.calibration.diagnosis.candidate_fits import slope
 from calrig.calibration.diagnosis.candidates import (
     Candidate,
     documented_forms,
+    follows,
     model_columns,
     own_columns,
     rebuilt,
 )
+from calrig.calibration.diagnosis.families import place_slope
 from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
@@ -176,11 +177,7 @@ def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool 
         own: the columns of each accepted effect.
         widened: by how far refits of noise scatter, too (`covariance_of`).
     """
-    slopes = [
-        slope(model.responses, candidate, model.fitted.beta[at])
-        for candidate, at in zip(model.accepted, own, strict=True)
-        if _is_refined(candidate)
-    ]
+    slopes = [place_slope(model, own, k) for k, one in enumerate(model.accepted) if _is_refined(one)]
     r, columns, fitted = model.responses, model.columns, model.fitted
     if slopes:
         columns = np.concatenate([columns, *slopes], axis=2)
@@ -202,10 +199,13 @@ def _with_std_of_places(effects: Sequence[Candidate], covariance: FloatArray) ->
     refined = [k for k, candidate in enumerate(effects) if _is_refined(candidate)]
     found = list(effects)
     for k, variance in zip(refined, np.diag(covariance)[len(covariance) - len(refined) :], strict=True):
-        shape = found[k].shape
         if variance > 0.0:  # else the others say the same, and leave nothing to tell it by
-            at_std = {found[k].effect.place: math.sqrt(float(variance))}
-            found[k] = replace(found[k], shape=replace(shape, at_std=at_std))
+            first, place = effects[k], effects[k].effect.place
+            for m, one in enumerate(effects):
+                if one is first or follows(one, first):
+                    share = one.shape.at[place] / first.shape.at[place]
+                    at_std = {place: share * math.sqrt(float(variance))}
+                    found[m] = replace(one, shape=replace(one.shape, at_std=at_std))
     return found
 
 

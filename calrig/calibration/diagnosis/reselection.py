@@ -18,6 +18,7 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import (
     Candidate,
     at_its_elevations,
+    follows,
     harmonics_of,
     orders_beside,
     own_columns,
@@ -107,7 +108,7 @@ def _is_at_place_of(r: Responses, c: Candidate, other: Candidate) -> bool:
     """Return whether a candidate is another one at its place, or so near that these poses see one."""
     if c.label != other.label or c.beside is not None:
         return False
-    return place_of(c) == place_of(other) if c.effect.distinct is None else not c.is_distinct(r, other)
+    return place_of(c) == place_of(other) if c.effect.resolved is None else not c.is_distinct(r, other)
 
 
 def near_among(
@@ -188,14 +189,14 @@ def offered(
         if c.beside is not None:
             if c.shape.series:  # other terms of it may be in the model
                 return not any(one.label in once for one in c.members) and all(
-                    one.is_distinct(r, other) for one in c.members for other in accepted
+                    one.is_distinct_from_all(r, accepted) for one in c.members
                 )
             return not any(one.label in once or one.name in always for one in c.members)
         if c.shape.beside and not followed.issuperset(c.shape.beside):
             return False
         if c.label in once or not (c.follows is None or c.follows in present):
             return False
-        return c.effect.distinct is None or all(c.is_distinct(r, other) for other in accepted)
+        return c.is_distinct_from_all(r, accepted)
 
     every = [*candidates, *harmonics_of(r, accepted)]
     allowed = [c for c in every if c.label not in refused and wanted(c) and may_enter(c)]
@@ -302,6 +303,8 @@ def _against_rivals(
         again = replace(one, candidate=at_best_place(r, others, one.candidate))
     else:
         again = named(r, others, rivals, ratios, one.p_value, one.candidate)
+    if any(follows(c, one.candidate) for c in others) and _is_at_place_of(r, again.candidate, one.candidate):
+        again = replace(again, candidate=one.candidate)  # its terms move with it (`with_families`)
     place = next(k for k, f in enumerate(found) if f is one)
     # a term without a size would give its place in the model to an effect that no test has passed
     terms = needed_terms(r, others, again.candidate.members)

@@ -25,7 +25,9 @@ from calrig.calibration.diagnosis.candidates import (
     is_order_beside,
     model_columns,
     orders_beside,
+    term_alike,
 )
+from calrig.calibration.diagnosis.families import with_families
 from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
 from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
@@ -73,8 +75,8 @@ many standard errors in 0.8 %, one of a hundred candidates four in 0.6 %."""
 def is_practically_significant(r: Responses, accepted: Sequence[Candidate], step: SelectedEffect) -> bool:
     """Return whether what a step adds to the reading, beyond bias and scale, is large and certain enough.
 
-    A witness alone names no effect of the reading: the parameters that reach the reading must be several
-    standard errors large, and a named effect must not increase the residual of the reading.
+    A witness alone names no effect: the parameters that reach the reading must be several standard errors
+    large, and a named effect must not increase its residual.
     """
     candidate, seen = step.candidate, fitted_model(r, accepted)
     if seen.responses.is_delayed:  # at one's own elevations, late readings hide what is small
@@ -245,8 +247,8 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
 
 LEVEL, AT_FIRST = 0.01, 0.75
 """Family-wise significance level of a search; the share of it spent before a search with free curves."""
-MOST_EFFECTS, MOST_COLUMNS = 8, 0.35
-"""Most effects of a model, a series such as the orders of a turn counted once; most columns per pose."""
+MOST_CAUSES, MOST_COLUMNS = 8, 0.35
+"""Most causes in a model, such as the orders of a turn or a worm with harmonics; most columns per pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -490,7 +492,7 @@ def _search(
         apart = outliers(model.responses, model.accepted, len(kept) - fewest, verdict.gain)
         if not len(apart):
             met.add(state)
-            is_full = _is_full(accepted, len(known))
+            is_full = _is_full(r, accepted, len(known))
             steps, no_worth = (
                 ([], None) if is_full else _entering(r, model, accepted, verdict, judged, rivals)
             )
@@ -521,8 +523,8 @@ def _search(
             continue
         found, dropped = eliminated(r, entered, len(known))
         refused.update(dropped)
-    findings = _findings(r, kept, found, verdict, judged)
-    return (better and better(findings)) or findings
+    last = _findings(r, kept, found, verdict, judged)
+    return (better and better(last)) or last
 
 
 def _findings(
@@ -547,22 +549,24 @@ def _with_steps(
     """Return the effects with those that enter, all reselected; None where they cannot be true together."""
     fresh = steps[0] if rivals is not None and len(steps) == 1 else None
     entered = reselected(r, candidates, [*found, *steps], known, rivals, fresh=fresh, thorough=False)
-    entered = with_known_places(r, candidates, entered)
+    entered = with_known_places(r, candidates, with_families(r, entered))
     return admitted(r, found, entered, known) if found else entered
 
 
 def _compared(
     r: Responses, candidates: Sequence[Candidate], found: list[SelectedEffect], known: int
 ) -> tuple[list[SelectedEffect], bool]:
-    """Return the effects, each compared thoroughly; as they were if those cannot be true together.
+    """Return the effects, each compared thoroughly, or as they were if those cannot be true together.
 
-    And whether all stay where they were compared: none has moved to a known place since.
+    And whether they stay what they were compared as: none has moved to a known place since.
     """
     again = reselected(r, candidates, found, known)
     if again and is_admissible(r, [f.candidate for f in again]):
         found = eliminated(r, again, known)[0]
-    placed = with_known_places(r, candidates, found)
-    return placed, placed is found
+    families = with_families(r, found)
+    placed = with_known_places(r, candidates, families)
+    forms, before = ([f.candidate.shape.form for f in those] for those in (families, found))
+    return placed, placed is families and forms == before
 
 
 def _entering(
@@ -586,12 +590,11 @@ def _entering(
     return [step.at_elevations_of(r) for step in steps], None if steps else best.candidate.label
 
 
-def _is_full(accepted: Sequence[Candidate], known: int) -> bool:
-    """Return whether the model has the most effects that are searched for, the known ones not counted."""
-    if len(accepted) == known:
-        return False
+def _is_full(r: Responses, accepted: Sequence[Candidate], known: int) -> bool:
+    """Return whether the model has the most causes that are searched for, the known ones not counted."""
     own = accepted[known:]
     series = {c.shape.series for c in own if c.shape.series}
-    alone = sum(not c.shape.series for c in own)
+    alone = [c for c in own if not c.shape.series]
+    firsts = sum(not any(term_alike(r, other, c) for other in alone) for c in alone)
     columns = sum(c.columns.shape[2] for c in accepted)
-    return len(series) + alone >= MOST_EFFECTS or columns > MOST_COLUMNS * len(accepted[0].columns)
+    return len(series) + firsts >= MOST_CAUSES or columns > MOST_COLUMNS * len(r)

@@ -8,6 +8,7 @@ elevations are uneven by the error itself: a wave near the step follows any erro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -319,18 +320,16 @@ def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
                 yield {"period_deg": float(1.0 / exact), "order": float(exact * TURN_DEG)}
 
 
-def _apart(r: Responses, shape: Shape, other: Shape) -> bool:
-    """Return whether the poses resolve two waves from each other; an order 1 is an eccentricity.
+def _resolved(r: Responses, shape: Shape) -> float:
+    """Return the frequency of a wave in the least distance that the poses resolve; an order 1 has one too.
 
     Evenly spaced poses do not resolve a wave from one near an alias of it.
     """
-    own, its = _period_deg(shape), _period_deg(other)
-    if own == 0.0 or its == 0.0:
-        return True
-    own, its, grid = 1.0 / own, 1.0 / its, _frequency_of_grid(r)
-    if grid:
-        own, its = abs(own - grid * round(own / grid)), abs(its - grid * round(its / grid))
-    return abs(own - its) >= APART / r.arc_deg
+    period_deg = shape.at.get("period_deg", TURN_DEG if shape.series == THE_TURN else math.nan)
+    frequency, grid = 1.0 / (period_deg or math.nan), _frequency_of_grid(r)
+    if grid and not math.isnan(frequency):
+        frequency = abs(frequency - grid * round(frequency / grid))
+    return frequency * r.arc_deg / APART
 
 
 @lru_cache(maxsize=8)
@@ -338,10 +337,6 @@ def _frequency_of_grid(r: Responses) -> float:
     """Return how many evenly spaced elevations lie in a degree; 0 where they are not evenly spaced."""
     step = spacing_deg(r.theta_deg)
     return 0.0 if step is None else 1.0 / step
-
-
-def _period_deg(shape: Shape) -> float:
-    return shape.at.get("period_deg", TURN_DEG if shape.series == THE_TURN else 0.0)
 
 
 def _on_reading_deg(p: Applied) -> FloatArray:
@@ -375,7 +370,7 @@ EFFECT = Effect(
     place="period_deg",
     settled=_settled,
     look_alikes=_look_alikes,
-    distinct=_apart,
+    resolved=_resolved,
     as_sensor=Wording(
         "Periodic error of the sensor",
         "correct by the unit's calibration; look at how the sensor is centred, its channels and its poles",

@@ -75,7 +75,9 @@ ORIGINS: dict[Origin, str] = {
     "environment": "the surroundings",
     "unknown": "not known",
 }
-HIDDEN = ("pose", "part", "order", "over_s", "harmonic", "of_deg")
+OF = "of_deg"
+"""The place that a harmonic's depends on."""
+HIDDEN = ("pose", "part", "order", "over_s", "harmonic", OF)
 """Places that serve the search alone and are in no document."""
 
 
@@ -315,7 +317,8 @@ class Effect:
         place: the parameter among the scanned ones that the likelihood refines between them.
         settled: the places to take for those refined, by their standard errors: a value that is known.
         look_alikes: places that these poses may not tell from a shape's, the likeliest first.
-        distinct: whether two shapes at different places can both be in one model of these poses; else always.
+        resolved: where a shape lies, in widths that these poses resolve: two that are less than one apart are
+            not both in one model; NaN without a place.
         carried: whether these poses determine the coefficients of a shape together with its place.
         harmonics: places of the further terms of one cause, once a shape that is the first of them is found.
         reported, evidence: a document's parameters of coefficients and covariance; sentences about a shape.
@@ -348,7 +351,7 @@ class Effect:
     place: str = ""
     settled: Callable[[Parameters, Parameters], Parameters] = lambda at, _std: at
     look_alikes: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
-    distinct: Callable[[Responses, Shape, Shape], bool] | None = None
+    resolved: Callable[[Responses, Shape], float] | None = None
     carried: Callable[[Responses, Shape], bool] = lambda _r, _shape: True
     harmonics: Callable[[Responses, Shape], Iterator[Parameters]] = lambda _r, _shape: iter(())
     reported: Callable[[Shape, FloatArray, FloatArray], Documents] = linear
