@@ -3,7 +3,7 @@
 import { get, serviceError } from "./api.js";
 import { Chart } from "./charts.js";
 import { errorLine, figureList, fill, h, held, keepingFocus, paragraphs, runName, warningBox } from "./dom.js";
-import { Fold } from "./fold.js";
+import { Fold, keepingFolds } from "./fold.js";
 import { plural, significant } from "./format.js";
 import { CANCELLED, LongWork } from "./longwork.js";
 import { Together } from "./together.js";
@@ -112,17 +112,13 @@ export class DiagnosisPanel {
     const effects = diagnosis.effects.map((effect, k) =>
       effectCard(effect, k, this, effect === decided && followUpBox(diagnosis, this.path, following, signal), signal),
     );
-    const folds = () => [...this.found.querySelectorAll(".effect > details, .fold")];
-    const wereOpen = folds().map(({ open }) => open);
-    fill(
-      this.found,
+    const drawn = [
       !effects.length && h("p", { "data-testid": "nothing-found" }, `${diagnosis.says?.[0] ?? NOT_JUDGED}.`),
       effects,
       followedBy(followers),
       this.#details(diagnosis, signal),
-    );
-    const now = folds();
-    if (now.length === wereOpen.length) now.forEach((fold, k) => (fold.open = wereOpen[k]));
+    ];
+    keepingFocus(this.found, () => keepingFolds(this.found, () => fill(this.found, drawn)));
   }
 
   #details(diagnosis, signal) {
@@ -186,7 +182,7 @@ function summary(diagnosis) {
 function commonError(rig, signal) {
   const body = h("div", { id: "error-map" });
   const title = h("summary", {}, `Error map of rig ${rig}`);
-  const folded = h("details", { "data-testid": "error-map-details" }, title, body);
+  const folded = h("details", { "data-fold": "error-map", "data-testid": "error-map-details" }, title, body);
   folded.addEventListener("toggle", () => folded.open && !body.hasChildNodes() && show(), { signal });
   return folded;
 

@@ -33,7 +33,7 @@ export function effectCard(effect, k, { path, run }, decides, signal) {
   const [word, look] = effect.accepted_at ? ["accepted", "in"] : [effect.verdict, effect.verdict];
   const folded = h(
     "details",
-    {},
+    { "data-fold": effect.name },
     h(
       "summary",
       {},
@@ -105,7 +105,7 @@ function considered(effect, reference) {
   );
   return h(
     "details",
-    { "data-testid": `considered-${effect.name}` },
+    { "data-fold": `${effect.name} considered`, "data-testid": `considered-${effect.name}` },
     h("summary", {}, "Candidates rejected"),
     h(
       "p",

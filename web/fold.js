@@ -38,6 +38,14 @@ export function onOpen(details, show, signal) {
   details.addEventListener("toggle", () => details.open && show(), { signal });
 }
 
+/** Does `change` to what is within `element`; a fold that was open stays so, known by its `data-fold` or its id. */
+export function keepingFolds(element, change) {
+  const folds = () => Map.groupBy(element.querySelectorAll("details"), ({ id, dataset }) => dataset.fold ?? id);
+  const before = folds();
+  change();
+  for (const [key, now] of folds()) now.forEach((fold, k) => (fold.open = before.get(key)?.[k]?.open ?? fold.open));
+}
+
 let unfolded = [];
 
 window.addEventListener("beforeprint", () => {

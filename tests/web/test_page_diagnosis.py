@@ -150,6 +150,31 @@ def test_a_run_is_traced_to_backlash_and_the_effect_put_in_force(page, client, s
     expect(considered.get_by_role("row", name="settling")).to_contain_text("worse")
 
 
+def test_what_is_unfolded_stays_so_when_the_diagnosis_is_drawn_again(page, client, service, go, expect):
+    run = imported(client, poses_with_backlash(), "FOLDS", rig="bench-2")
+    found = client.post(f"/api/runs/{run['id']}/diagnosis", json={}).raise_for_status().json()
+    (backlash,) = found["effects"]
+    go(f"#/runs/{run['id']}")
+    folds = page.locator("#diagnosis-found details")
+    unfold_effect(page, "backlash")
+    unfold(page, "diagnosis")
+    for name in ("considered-backlash", "error-map-details"):
+        page.get_by_test_id(name).locator("summary").click()
+    page.click("#accept-backlash")
+    page.get_by_test_id("confirm").click()
+    expect(page.locator("#take-back-backlash")).to_be_visible()
+    assert folds.evaluate_all("folds => folds.map(({ open }) => open)") == [True] * 4
+    expect(page.locator("main")).to_be_focused()  # the button that had the focus is gone
+    expect(page.locator("#error-map")).to_contain_text("unit FOLDS")
+
+    settling = as_found(next(effect for effect in CATALOGUE if effect.name == "settling"))
+    service.store.runs.update(run["id"], diagnosis={**found, "effects": [settling, backlash]})
+    page.evaluate("dispatchEvent(new Event('calrig:done'))")
+    expect(page.locator("[data-effect=settling]")).to_be_visible()
+    assert folds.evaluate_all("folds => folds.map(({ open }) => open)") == [False, False] + [True] * 4
+    is_drawn(page, "effect-1")
+
+
 def test_run_and_diagnosis_do_not_contradict_each_other(page, client, go, expect):
     """Dwells with a seventh of what the rig repeats to: more than noise is left, of no effect."""
     run = imported(client, noise_alone(more=f"reading_stderr_deg={NOISE_DEG / 7:.5f}"), "RESTLESS")
