@@ -112,9 +112,11 @@ def page(client: Any, fresh_page: Any) -> Iterator[Any]:
 
 @pytest.fixture
 def go(page: Any, client: Any) -> Callable[[str], None]:
-    """Opens a view of the page by its hash route."""
+    """Opens a view of the page by its hash route; the view before, shown until then, meets no expectation."""
+    leave = "route => location.hash !== route && document.getElementById('view')?.replaceChildren()"
 
     def go(route: str) -> None:
+        page.evaluate(leave, route)
         page.goto(str(client.base_url.join("/")) + route)
 
     return go
