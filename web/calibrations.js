@@ -16,6 +16,7 @@ import {
   statusPill,
   tableRow,
 } from "./dom.js";
+import { correctionTitles, knowEffects } from "./effects.js";
 import { isKnown, moment, plusMinus, range, significant } from "./format.js";
 import { may } from "./me.js";
 
@@ -43,7 +44,7 @@ export class Calibrations {
   }
 
   async read() {
-    const revisions = await get(`${this.path}/calibrations`, this.signal);
+    const [revisions] = await Promise.all([get(`${this.path}/calibrations`, this.signal), knowEffects()]);
     const current = revisions.find(({ status }) => status === "in_force");
     const file = current && `${this.path}/calibration?revision=${current.revision}`;
     const document = current && (await get(file, this.signal));
@@ -179,7 +180,7 @@ function rowFigures({ verdict, change, ...one }) {
   const rows = [
     isKnown(one.bias_std_deg) && ["Bias", plusMinus(one.bias_deg, one.bias_std_deg, "°")],
     isKnown(one.scale_std) && ["Scale", plusMinus(one.scale, one.scale_std)],
-    one.effects.length && ["Effects", one.effects.map((name) => name.replaceAll("_", " ")).join(", ")],
+    one.effects.length && ["Effects", correctionTitles(one.effects).join(", ")],
     ["U", isKnown(one.expanded_uncertainty_deg) ? significant(one.expanded_uncertainty_deg, 2, "°") : "not known"],
     ["Verdict", (verdict.answer ?? "none").replaceAll("_", " ")],
     change && [
@@ -207,7 +208,7 @@ function isSolved(document) {
 
 function figures(document, verdict) {
   const [bias, scale] = document.covariance?.map((row, k) => Math.sqrt(row[k])) ?? [];
-  const effects = document.effects.map(({ name, formula }) => h("div", { title: formula }, name.replaceAll("_", " ")));
+  const effects = document.effects.map(({ name, formula }) => h("div", { title: formula }, correctionTitles([name])));
   const expanded = document.expanded_uncertainty_deg;
   return [
     ["Revision", document.revision],

@@ -3,6 +3,7 @@
 import { get } from "./api.js";
 import { Chart, NONE_VALID } from "./charts.js";
 import { card, dataTable, fill, h, NO_UNITS, numberCell, runLink, suspectTag, tableRow, unitLink } from "./dom.js";
+import { correctionTitles, knowEffects } from "./effects.js";
 import { day, isKnown, moment, plusMinus, range, significant } from "./format.js";
 import { verdictWords } from "./runfilters.js";
 
@@ -25,7 +26,7 @@ export async function compareView({ root, query, signal }) {
   const heading = h("h1", {}, "Compare units");
   if (!picked.length && !all) return fill(root, heading, picker(units, picked));
   const asked = new URLSearchParams(picked.map((serial) => ["unit", serial]));
-  const comparison = await get(`/api/compare?${asked}`, signal);
+  const [comparison] = await Promise.all([get(`/api/compare?${asked}`, signal), knowEffects()]);
   const charts = CHARTS.map(([name, title]) => [name, new Chart(`compare-${name}`, title, { signal, empty: NONE_VALID })]);
   const draw = (chosen) => {
     const wanted = new URLSearchParams([...asked, ...chosen.map((serial) => ["chosen", serial])]);
@@ -129,7 +130,7 @@ const IN_FORCE = ["#Revision in force", "Verdict", "#Bias", "#Scale", "#RMS erro
 
 function inForceCells(one) {
   return [
-    h("td", { title: one.effects.join(", ").replaceAll("_", " ") || "no effects" }, one.revision),
+    h("td", { title: correctionTitles(one.effects).join(", ") || "no effects" }, one.revision),
     h("td", {}, verdictWords(one)),
     numberCell(isKnown(one.bias_deg) ? plusMinus(one.bias_deg, one.bias_std_deg, "°") : "–"),
     numberCell(plusMinus(one.scale, one.scale_std)),

@@ -34,6 +34,9 @@ export function suspectWords({ name, confusable_with: others }, reference) {
   return [candidateWords(name, reference), ...others.map(shown)].join(" or ");
 }
 
+/** Titles of corrections of a unit: an error of the angle is among them only where the reference is good. */
+export const correctionTitles = (names) => names.map((name) => effectTitle({ name, covariate: "target_deg" }, "good"));
+
 export function covariateWords(covariate) {
   return following(covariate)?.covariate_title ?? covariate;
 }

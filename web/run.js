@@ -5,6 +5,7 @@ import { amendments, askExclude, askInclude } from "./amend.js";
 import { Chart } from "./charts.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { errorLine, fill, h, keepingFocus, runName, tableBox } from "./dom.js";
+import { knowEffects } from "./effects.js";
 import { Fold } from "./fold.js";
 import { isKnown, significant } from "./format.js";
 import { hasNoHoming, wayOn } from "./interrupted.js";
@@ -25,7 +26,9 @@ const NO_TIMES = "No readings with known times: none yet, or poses of a file wit
 
 export async function runView({ root, parts: [id], signal }) {
   const path = `/api/runs/${encodeURIComponent(id)}`;
-  const page = new RunPage(path, await get(path, signal), signal);
+  const run = await get(path, signal);
+  if (run.provenance.follow_up) await knowEffects(); // its head names them
+  const page = new RunPage(path, run, signal);
   fill(root, page.element);
   await page.begin();
 }

@@ -1,6 +1,7 @@
 // The head of a run: name, status and notes; and what its folds hold of downloads and data faults.
 
 import { h, rigHref, runLink, runName, solveHref, statusPill, unitHref, unitLink } from "./dom.js";
+import { candidateWords } from "./effects.js";
 import { moment, plural } from "./format.js";
 import { interruptions } from "./interrupted.js";
 import { kindTag } from "./runlist.js";
@@ -39,8 +40,8 @@ export function heading(run) {
 
 /** The candidates that a follow-up is to distinguish. */
 function asked({ provenance }) {
-  const suspects = provenance.follow_up?.separates ?? [];
-  return suspects.length > 0 && `: ${suspects.map((name) => name.replaceAll("_", " ")).join(" or ")}?`;
+  const { separates = [], reference } = provenance.follow_up ?? {};
+  return separates.length > 0 && `: ${separates.map((name) => candidateWords(name, reference)).join(" or ")}?`;
 }
 
 export function downloads(run, path) {

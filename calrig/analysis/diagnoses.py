@@ -22,7 +22,7 @@ from calrig.analysis.stored_runs import (
 )
 from calrig.analysis.unit_of_work import Fits, in_one_transaction
 from calrig.calibration.diagnosis import PartialResidual, partial_residuals, trace
-from calrig.calibration.effects import EFFECTS
+from calrig.calibration.effects import EFFECTS, title_inside
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression import ApplyError, DiagnosisRequest
 from calrig.calibration.results import own_effect, poses_without_effects
@@ -190,7 +190,7 @@ class Acceptance:
             accepted += _accepted_of(run, found)
         joint = joint_of_accepting(self._store, run.unit, accepted, fits)
         self._store.effects.accept(run_id, accepted, joint, who=who)
-        return self._refit(run_id, who, f"accepted from run {short_name(run_id)}: {_listed(names)}")
+        return self._refit(run_id, who, f"accepted from run {short_name(run_id)}: {_listed(names, run)}")
 
     def take_back(self, run_id: str, names: Sequence[str], reason: str, *, who: str | None = None) -> Run:
         """Takes effects that were accepted from a run out of force; an earlier acceptance is in force again.
@@ -211,7 +211,8 @@ class Acceptance:
             if one.run_id != run_id or one.name not in names
         ]
         self._store.effects.revoke(run_id, names, why, joint_of_rest(self._store, left, fits), who=who)
-        return self._refit(run_id, who, f"{_listed(names)} of run {short_name(run_id)} taken back: {why}")
+        reason = f"{_listed(names, run)} of run {short_name(run_id)} taken back: {why}"
+        return self._refit(run_id, who, reason)
 
     def _refit(self, run_id: str, who: str | None, why: str) -> Run:
         """Fit a run's result again with what is in force now, and make its unit's next draft."""
@@ -223,8 +224,9 @@ class Acceptance:
         return run
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(name.replace("_", " ") for name in names)
+def _listed(names: Sequence[str], run: Run) -> str:
+    is_good = (run.diagnosis or {}).get("reference") == "good"
+    return ", ".join(title_inside(name, reference_is_good=is_good) for name in names)
 
 
 def _is_change(effect: dict[str, Any]) -> bool:

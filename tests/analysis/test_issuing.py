@@ -90,7 +90,7 @@ def test_effects_accepted_later_make_another_revision_with_its_own_number(lab):
     lab.accepts(run)
     second = lab.store.revisions.in_force("A")
     assert (second.revision, [e["name"] for e in second.document["effects"]]) == (2, ["temperature_bias"])
-    assert second.reason == f"accepted from run {short_name(run.id)}: temperature bias"
+    assert second.reason == f"accepted from run {short_name(run.id)}: bias that follows temperature"
     assert second.document["bias_deg"] != lab.store.revisions.get("A", 1).document["bias_deg"]
     assert all("formula" in effect for effect in second.document["effects"])
 

@@ -135,4 +135,5 @@ def document(expanded_deg, *effects, is_solved=False):
 def test_what_a_worse_calibration_would_replace_is_a_doubt(before, now, kinds):
     found = displacement_doubts(before, now, ["temperature_bias", "axis_mismatch"], IN_FORCE)
     assert [doubt.kind for doubt in found] == kinds
-    assert all("temperature bias" in doubt.says for doubt in found if doubt.kind == "effects_lost")
+    lost = [doubt.says for doubt in found if doubt.kind == "effects_lost"]
+    assert all("bias that follows temperature" in says for says in lost)

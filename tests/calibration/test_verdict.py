@@ -97,6 +97,24 @@ def test_a_verification_fits_nothing():
 
 
 @pytest.mark.parametrize(
+    ("reference", "own", "rival"),
+    [
+        ({}, "eccentricity of the stage", "backlash of the stage"),
+        ({"reference": "stated"}, "eccentricity of the stage", "backlash of the stage"),
+        ({"reference": "good"}, "eccentricity of the sensor", "hysteresis of sensor or coupling"),
+    ],
+)
+def test_it_calls_effects_by_their_titles_of_whose_the_error_is(reference, own, rival):
+    def says(*effect, rivals=()):
+        return make_verdict(result(52, backlash_deg=0.2), {**found(*effect, rivals=rivals), **reference}).says
+
+    named = f"The diagnosis names {own}, which has not been accepted."
+    assert named in says("stage_eccentricity", "named")
+    ambiguous = f"The diagnosis cannot distinguish {own} from {rival} from the same at another period."
+    assert ambiguous in says("stage_eccentricity", "ambiguous", rivals=["backlash", "stage_eccentricity"])
+
+
+@pytest.mark.parametrize(
     ("diagnosis", "words"),
     [
         (None, ["not been diagnosed"]),
@@ -105,7 +123,7 @@ def test_a_verification_fits_nothing():
         (found("backlash", "ambiguous", rivals=["settling"]), ["cannot distinguish", "backlash", "settling"]),
         (
             found("temperature_offset", "ambiguous", rivals=["unnamed"]),
-            ["The diagnosis cannot distinguish temperature offset from an unknown effect."],
+            ["The diagnosis cannot distinguish offset that follows temperature from an unknown effect."],
         ),
     ],
 )

@@ -301,7 +301,7 @@ def test_what_is_ambiguous_leads_to_the_run_that_separates_it(page, client, go, 
     page.click("#follow-up")
     page.wait_for_url(lambda url: not url.endswith(f"/runs/{run['id']}"))
     expect(page.locator("#follows")).to_have_text(
-        f"follow-up of run {short_name(run['id'])}: {' or '.join(planned['separates'])}?"
+        f"follow-up of run {short_name(run['id'])}: backlash of the stage or incomplete settling?"
     )
     expect(page.locator("#status")).to_have_text("completed")
     expect(page.locator("[data-effect=backlash]")).to_contain_text("named")

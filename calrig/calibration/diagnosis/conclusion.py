@@ -16,12 +16,11 @@ from functools import partial
 from typing import Any, Literal
 
 from calrig.calibration.diagnosis.lack_of_fit import LEVEL, SEVERAL
-from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
+from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of, title_inside
 from calrig.calibration.regression.effect import ELEVATION
 from calrig.calibration.uncertainty.verdict import (
-    SAME_EFFECT,
-    UNKNOWN_EFFECT,
     between_runs,
+    candidate_titles,
     not_repeated_better,
 )
 from calrig.estimation.angle_text import angle_text
@@ -210,22 +209,11 @@ def _title(effect: Document, *, reference_is_good: bool) -> str:
     """Return the title of an effect for the middle of a sentence."""
     if effect["name"] == UNNAMED:
         return f"something that follows {covariate_of(effect['covariate']).title}{between_runs(effect)}"
-    return _words(effect["name"], reference_is_good=reference_is_good) + between_runs(effect)
+    return title_inside(effect["name"], reference_is_good=reference_is_good) + between_runs(effect)
 
 
 def _suspects(effect: Document, *, reference_is_good: bool) -> str:
-    others = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
-    names = (_words(name, reference_is_good=reference_is_good) for name in (effect["name"], *others))
-    return " or ".join(names) + between_runs(effect)
-
-
-def _words(name: str, *, reference_is_good: bool) -> str:
-    """Return the title of an effect inside a sentence; `SAME_EFFECT` is such words already."""
-    if name == UNNAMED:
-        return UNKNOWN_EFFECT
-    if name not in EFFECTS:
-        return name.replace("_", " ")
-    return EFFECTS[name].wording(reference_is_good=reference_is_good).inside
+    return " or ".join(candidate_titles(effect, reference_is_good=reference_is_good)) + between_runs(effect)
 
 
 def _confirmation(fresh: Document, decided: int | None, *, confirmed: bool) -> str:

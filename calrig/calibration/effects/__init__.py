@@ -38,6 +38,15 @@ def effect_of(name: str) -> Effect:
     return EFFECTS[name]
 
 
+def title_inside(name: str, *, reference_is_good: bool) -> str:
+    """Return an effect's title inside a sentence; the name itself of one that this version does not know."""
+    if name == UNNAMED:
+        return "an unknown effect"
+    if name not in EFFECTS:
+        return name.replace("_", " ")
+    return EFFECTS[name].wording(reference_is_good=reference_is_good).inside
+
+
 def covariate_of(name: str) -> Covariate:
     """The covariate of a name in documents: an effect's, else a column, with the unit that its name has."""
     known = (effect.covariate for effect in CATALOGUE if effect.covariate.name == name)

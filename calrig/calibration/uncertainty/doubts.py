@@ -276,7 +276,10 @@ def displacement_doubts(
         e["name"] for e in before["effects"] if e["name"] in still_accepted and e["name"] not in corrected
     ]
     if lost:
-        names = ", ".join(sorted(lost)).replace("_", " ")
+        from calrig.calibration.effects import title_inside
+
+        # a unit's document has errors of the angle only where the reference is good
+        names = ", ".join(title_inside(name, reference_is_good=True) for name in sorted(lost))
         found.append(Doubt("effects_lost", f"It does not correct {names}, as {against} does: {larger}."))
     return found
 

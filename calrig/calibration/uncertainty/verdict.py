@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from calrig.calibration.uncertainty.budget import frozen
@@ -45,8 +46,6 @@ IN_WORDS: dict[Answer, str] = {
 }
 SAME_EFFECT = "the same at another period"
 """Names an effect that is confusable with itself: only the spacing of the poses could distinguish them."""
-UNKNOWN_EFFECT = "an unknown effect"
-"""Names the candidate `unnamed`: a shape that no effect of the catalogue explains."""
 
 
 def make_verdict(
@@ -298,20 +297,28 @@ def _diagnosed(diagnosis: Document | None, left: str | None) -> list[str]:
     open_ones = [effect for effect in diagnosis["effects"] if effect.get("accepted_at") is None]
     if not open_ones and left == "more_than_noise":
         return ["The diagnosis names no further effect.", *not_repeated_better(diagnosis)]
-    return [_found(effect) for effect in open_ones]
+    is_good = diagnosis.get("reference") == "good"
+    return [_found(effect, reference_is_good=is_good) for effect in open_ones]
 
 
-def _found(effect: Document) -> str:
+def _found(effect: Document, *, reference_is_good: bool) -> str:
     if effect["verdict"] == "unnamed":
         return "The diagnosis finds an effect that is not in its catalogue."
-    rivals = (SAME_EFFECT if name == effect["name"] else name for name in effect["confusable_with"])
-    known = (effect["name"], *rivals)
-    names = [UNKNOWN_EFFECT if name == "unnamed" else name.replace("_", " ") for name in known]
+    names = candidate_titles(effect, reference_is_good=reference_is_good)
     if effect["verdict"] == "named" and effect.get("changed"):
         return f"The diagnosis names {names[0]}{between_runs(effect)}."
     if effect["verdict"] == "named":
         return f"The diagnosis names {names[0]}, which has not been accepted."
     return f"The diagnosis cannot distinguish {' from '.join(names)}."
+
+
+def candidate_titles(effect: Document, *, reference_is_good: bool) -> list[str]:
+    """Return the titles, inside a sentence, of an effect and of those that it is confusable with."""
+    from calrig.calibration.effects import title_inside
+
+    own, title = effect["name"], partial(title_inside, reference_is_good=reference_is_good)
+    others = (SAME_EFFECT if name == own else title(name) for name in effect["confusable_with"])
+    return [title(own), *others]
 
 
 def not_repeated_better(diagnosis: Document) -> list[str]:
