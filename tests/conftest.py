@@ -5,6 +5,12 @@ from __future__ import annotations
 import faulthandler
 import gc
 import os
+import sys
+
+# Keep what was compiled, although images of containers often forbid it. Otherwise each worker compiles all
+# tests, half of its work before its first test, and each program that a test starts compiles calrig.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+    sys.dont_write_bytecode = False
 
 # A worker has a core: with a thread a core in each, a third of the time goes into waiting for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
