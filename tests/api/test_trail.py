@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 from postgresql_server import ENGINE
-from support import QUICK, imported, serving, wait_for
+from support import QUICK, ended, imported, serving, wait_for
 
 from calrig.api.access import Access
 from calrig.store import trail
@@ -66,6 +66,7 @@ def test_a_stop_that_aborts_runs_is_told_with_who_pressed_it(ada: httpx.Client) 
         for _ in range(2)
     )
     ada.post("/api/rigs/bench-1/stop").raise_for_status()
+    ended(ada, running)  # the stage stands once the stop is answered; the run writes its end a moment later
     aborted = [(who, of) for what, who, _, of in told(ada) if what == "aborted"]
     assert sorted(aborted) == sorted([("ada", running), ("ada", waiting)])
     ada.post("/api/rigs/bench-1/stop").raise_for_status()
