@@ -20,6 +20,7 @@ from socketserver import BaseServer
 from typing import Any, TypeVar
 
 import httpx
+import sqlalchemy
 from postgresql_server import store_at
 from repository import SHARED
 from shared_processes import shared_processes
@@ -27,6 +28,7 @@ from shared_processes import shared_processes
 from calrig.settings import BoardSettings, ClampSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
+from calrig.simulator.virtual_clock import VirtualClock
 
 DATA = Path(os.environ.get("CALRIG_DATA", SHARED / "data"))
 """The measured logs; tests that need them skip, saying so, where they are not."""
@@ -97,6 +99,30 @@ def ended(client: httpx.Client, run_id: str, deadline_s: float = PATIENCE_S) -> 
         for _ in events.raise_for_status().iter_raw():
             pass
     return client.get(f"/api/runs/{run_id}").raise_for_status().json()
+
+
+_COMMITTED = [0]
+LOOK_S = 0.1
+"""How long a look at a store is put off at most where nothing was committed."""
+
+
+@sqlalchemy.event.listens_for(sqlalchemy.Engine, "commit")
+def _committed(_connection: sqlalchemy.Connection) -> None:
+    _COMMITTED[0] += 1
+
+
+def after_commits(look: Callable[[], T], clock: VirtualClock) -> Callable[[], T | None]:
+    """Return a look at a store for `VirtualClock.until`: there are too many instants for queries."""
+    seen, looked_s = -1, 0.0
+
+    def looks() -> T | None:
+        nonlocal seen, looked_s
+        if _COMMITTED[0] == seen and clock.now_s() < looked_s + LOOK_S:
+            return None
+        seen, looked_s = _COMMITTED[0], clock.now_s()
+        return look()
+
+    return looks
 
 
 POSES = "target_deg,reading_deg\n-40,-39.1\n-10,-9.3\n10,10.9\n40,40.8\n"

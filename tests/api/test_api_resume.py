@@ -12,7 +12,7 @@ import httpx
 import numpy as np
 import pytest
 from command_line import calrig, reason
-from support import ended, fast, known_as, running_service, serving
+from support import after_commits, ended, fast, known_as, running_service, serving
 
 from calrig.plan import Plan
 from calrig.runs.run_queue import mark_interrupted
@@ -73,7 +73,7 @@ def killed_in_a_move(store_path: Path, **stage: Any) -> Iterator[Killed]:
         rig = known_as("stepper", simulated)
         with clock.taking_part(), running_service(store_path, rig) as service:
             run = service.start(unit="AS-1", plan=Plan.model_validate(PLAN))
-            clock.until(lambda: service.store.poses.count(run.id) == 2, "two poses")
+            clock.until(after_commits(lambda: service.store.poses.count(run.id) == 2, clock), "two poses")
             clock.until(lambda: abs(table(simulated)[1]) > 5.0, "move")
         with running_service(store_path, rig) as service:  # over the store as a killed program leaves it
             service.store.runs.update(run.id, status="running", error=None)

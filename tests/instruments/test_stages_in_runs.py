@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from support import LONG, QUICK, fast, known_as, running_service, wait_for
+from support import LONG, QUICK, after_commits, fast, known_as, running_service, wait_for
 
 from calrig.plan import Plan
 from calrig.runs.service import RunService
@@ -64,7 +64,7 @@ def test_a_stepper_that_is_reset_on_the_way_fails_the_run_and_gives_no_angle(hom
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
-        clock.until(lambda: service.store.poses.count(run.id), "first pose")
+        clock.until(after_commits(lambda: service.store.poses.count(run.id), clock), "first pose")
         clock.until(lambda: simulated.stage.state == State.RUN, "move")
         simulated.stage.reset()
         ended = service.wait(run.id, 20)
@@ -82,7 +82,7 @@ def test_a_stepper_that_runs_into_its_limit_switch_fails_the_run_with_its_alarm_
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):
         run = service.start(unit="AS-1", plan=Plan.model_validate(LONG))
-        clock.until(lambda: service.store.poses.count(run.id), "first pose")
+        clock.until(after_commits(lambda: service.store.poses.count(run.id), clock), "first pose")
         clock.until(lambda: simulated.stage.state == State.RUN, "move")
         simulated.stage.set_limit_switch(closed=True)
         simulated.stage.set_limit_switch(closed=False)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
-from support import fast, known_as
+from support import after_commits, fast, known_as
 
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.plan import Plan
@@ -92,6 +92,11 @@ def until(look: Callable[[], T | None], what: str, deadline_s: float = 15.0) -> 
     return CLOCK.until(look, what, deadline_s)
 
 
+def until_written(look: Callable[[], T | None], what: str, deadline_s: float = 15.0) -> T:
+    """As `until`, for what is seen in the store: a look comes at the instant after each commit."""
+    return CLOCK.until(after_commits(look, CLOCK), what, deadline_s)
+
+
 def until_stored(store: Store, run: Run, n_poses: int, deadline_s: float = 60.0) -> None:
     """Let time run until so many poses are stored, looking ten times a second: a look is a query."""
     give_up_s = CLOCK.now_s() + deadline_s
@@ -121,7 +126,8 @@ def begin(service: RunService, chosen: Plan = ENDLESS, unit: str = "AS-1", rig: 
 
 def moving(bench: TruthRig, service: RunService, run: Run) -> None:
     """Until the table is on its way to a pose: past homing, and in the midst of a long move."""
-    until(lambda: service.run(run.id).status == "running" and abs(bench.table_deg(bench.now_s)) > 10, "move")
+    until_written(lambda: service.run(run.id).status == "running", "begin")
+    until(lambda: abs(bench.table_deg(bench.now_s)) > 10, "move")
     assert bench.moves()
 
 
@@ -133,11 +139,11 @@ def homing(bench: TruthRig, service: RunService, run: Run) -> None:
 
 def dwelling(bench: TruthRig, service: RunService, run: Run) -> None:
     """Until the second dwell has begun."""
-    until(lambda: service.run(run.id).progress.poses_done >= 1, "first pose", 30)
+    until_written(lambda: service.run(run.id).progress.poses_done >= 1, "first pose", 30)
     until(lambda: not bench.moves(), "dwell")
 
 
 def paused(bench: TruthRig, service: RunService, run: Run) -> None:
     """Until the run holds."""
     service.pause(run.id)
-    until(lambda: service.run(run.id).status == "paused", "pause", 30)
+    until_written(lambda: service.run(run.id).status == "paused", "pause", 30)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from run_rigs import CLOCK, plan, until
+from run_rigs import CLOCK, plan, until_written
 
 from calrig.analysis.errors import Invalid
 from calrig.runs.plan_estimates import estimate, paused_s
@@ -60,7 +60,7 @@ def test_a_pause_of_the_last_run_is_not_expected_of_the_next(make_rig, serve):
     service = serve(bench)
     run = service.start(unit="AS-1", plan=plan(elevations_deg=None, step_deg=5, sweeps=1, rate_hz=20))
     service.pause(run.id)
-    until(lambda: service.store.runs.get(run.id).status == "paused", "a pause")
+    until_written(lambda: service.store.runs.get(run.id).status == "paused", "a pause")
     CLOCK.sleep(60.0)
     service.resume(run.id)
     run = service.wait(run.id, 300)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from run_rigs import CLOCK, TruthRig, begin, pass_time, plan, states, until
+from run_rigs import CLOCK, TruthRig, begin, pass_time, plan, states, until_written
 
 from calrig.analysis.errors import Conflict
 from calrig.instruments.drivers import open_stage
@@ -23,7 +23,7 @@ Serve = Callable[..., RunService]
 
 def interrupted(service: RunService, store: Store, run: Run, poses: int = 3) -> Run:
     """The run after it measured some poses and its service was told to stop."""
-    until(lambda: store.poses.count(run.id) >= poses, f"{poses} poses")
+    until_written(lambda: store.poses.count(run.id) >= poses, f"{poses} poses")
     service.close()
     left = service.run(run.id)
     assert left.status == "interrupted"
@@ -82,7 +82,7 @@ def test_the_time_left_of_a_resumed_run_is_what_its_other_poses_then_take(
     left = interrupted(first, store, begin(first, PLAN.model_copy(update={"sweeps": 1})), 2)
     again = serve(bench)
     again.resume(left.id)
-    until(lambda: store.poses.count(left.id) > left.progress.poses_done, "a pose of its own")
+    until_written(lambda: store.poses.count(left.id) > left.progress.poses_done, "a pose of its own")
     told_s, began_s = store.runs.get(left.id).progress.remaining_s, CLOCK.now_s()
     assert again.wait(left.id, 30).status == "completed"
     assert told_s == pytest.approx(CLOCK.now_s() - began_s, rel=0.3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from run_rigs import TruthRig, begin, plan, until
+from run_rigs import TruthRig, begin, plan, until_written
 
 from calrig.analysis.amendments import Records
 from calrig.analysis.errors import Invalid
@@ -28,7 +28,7 @@ def test_a_run_ends_once_it_is_good_enough_and_everything_follows_from_the_same_
 ) -> None:
     first = serve(bench)
     run = begin(first, PLAN)
-    until(lambda: store.poses.count(run.id) >= 3, "3 poses")
+    until_written(lambda: store.poses.count(run.id) >= 3, "3 poses")
     first.close()
     again = serve(bench)
     again.resume(run.id)
