@@ -210,9 +210,16 @@ def test_a_known_period_and_its_harmonics_are_candidates_that_pay_for_no_scan():
     rng = np.random.default_rng(14)
     _, offered = family_of(responses_of([measured(rng.uniform(-60.0, 60.0, 80), [], rng)]), 9.3)
     alone = [c for c in offered if c.beside is None]
-    assert [c.shape.at["period_deg"] for c in alone] == pytest.approx([9.3 / k for k in (1, 2, 3)])
-    assert [c.parameters for c in alone] == [2, 2, 2]
-    assert [len(c.members) for c in offered if c.beside is not None] == [2, 3]
+    assert [c.shape.at["period_deg"] for c in alone] == pytest.approx([9.3 / k for k in range(1, 9)])
+    assert [c.parameters for c in alone] == [2] * 8
+    assert [len(c.members) for c in offered if c.beside is not None] == [2, 3, 4, 5, 6, 7, 8]
+
+
+def test_harmonics_of_even_poses_end_where_their_spacing_takes_them_for_longer_ones():
+    rng = np.random.default_rng(14)
+    _, offered = family_of(responses_of([measured(np.arange(-60.0, 60.1, 1.5), [], rng)]), 9.3)
+    alone = [c.shape.at["period_deg"] for c in offered if c.beside is None]
+    assert alone == pytest.approx([9.3 / k for k in (1, 2, 3)])  # a quarter would be less than 3°
 
 
 @pytest.mark.parametrize("known_deg", [(), (9.3,)])
@@ -229,13 +236,59 @@ def test_a_worm_too_weak_to_be_found_among_all_periods_is_found_where_it_is_know
 
 def test_harmonics_of_a_period_that_was_found_are_offered_with_it():
     rng = np.random.default_rng(16)
-    r = responses_of([measured(rng.uniform(-60.0, 60.0, 80), [], rng)])
+    r = responses_of([measured(np.arange(-60.0, 60.1, 1.5), [], rng)])
     (shape,) = EFFECTS["stage_periodic"].forms(r, {"period_deg": 9.3})
     worm = candidate_of(r, EFFECTS["stage_periodic"], shape)
     offered = harmonics_of(r, [worm])
     assert [c.shape.at["period_deg"] for c in offered if c.beside is None] == pytest.approx([4.65, 3.1])
     assert len({c.shape.series for c in offered}) == 1
     assert len(harmonics_of(r, [worm, offered[0]])) < len(offered)
+
+
+WORM_DEG = 2.7
+WORM_SIZES_DEG = {1: 0.03, 2: 0.004, 3: 0.0025, 4: 0.001, 5: 0.0008}
+
+
+def worm_read_finely(seed):
+    """Poses that jitter, and readings of a worm whose wave is 300 times their noise of 0.0001°."""
+    rng = np.random.default_rng(seed)
+    targets_deg = np.linspace(-60.0, 60.0, 360) + rng.uniform(-0.1, 0.1, 360)
+    waves = (a * np.sin(2.0 * np.pi * k * targets_deg / WORM_DEG + k) for k, a in WORM_SIZES_DEG.items())
+    return targets_deg, targets_deg + 0.3 + sum(waves) + rng.normal(0.0, 1e-4, 360)
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.statistical) for k in (1, 2, 3))])
+def test_a_strong_worm_is_one_period_and_predicts_as_well_as_a_fit_by_who_knows_it(seed):
+    targets_deg, readings_deg = worm_read_finely(seed)
+    poses = posed(target_deg=targets_deg, reading_deg=readings_deg)
+    found = document(diagnose([poses], bootstraps=199, request=DiagnosisRequest("good")), ["a run"])
+    periods = [effect["parameters"]["period_deg"] for effect in found["effects"]]
+    first = max(periods, key=lambda period: period["value"])
+    assert sorted(period["value"] / first["value"] for period in periods) == pytest.approx(
+        [1 / 5, 1 / 4, 1 / 3, 1 / 2, 1.0], rel=1e-12
+    )
+    assert first["value"] == pytest.approx(WORM_DEG, abs=4.0 * first["std"])
+    assert [p["std"] / p["value"] for p in periods] == pytest.approx([first["std"] / first["value"]] * 5)
+
+    phases = 2.0 * np.pi * np.outer(targets_deg, np.arange(1, 6)) / WORM_DEG
+    known = np.column_stack([np.ones(360), targets_deg, np.sin(phases), np.cos(phases)])
+    fold, left_deg = np.arange(360) % 4, np.zeros(360)
+    for k in range(4):
+        beta = np.linalg.lstsq(known[fold != k], readings_deg[fold != k], rcond=None)[0]
+        left_deg[fold == k] = readings_deg[fold == k] - known[fold == k] @ beta
+    assert found["final"]["held_out_rms_deg"] < 1.1 * np.sqrt(np.mean(left_deg**2))
+
+
+@pytest.mark.statistical
+def test_the_standard_error_of_a_worm_s_period_allows_for_its_harmonics():
+    off = []
+    for seed in range(20, 50):
+        targets_deg, readings_deg = worm_read_finely(seed)
+        poses = posed(target_deg=targets_deg, reading_deg=readings_deg)
+        periods = [effect["parameters"]["period_deg"] for effect in effects_in(poses)]
+        first = max(periods, key=lambda period: period["value"])
+        off.append((first["value"] - WORM_DEG) / first["std"])
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.4)  # three times 1/√(2·30)
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.statistical) for k in (1, 2))])

@@ -238,7 +238,7 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
     free = with_free_curve(r)
     if free is None or r.starts.all():
         return False
-    base = free.base[:, 0, :]
+    base = free.base[:, 0]
     beside = r.values[:, 0] - base @ np.linalg.lstsq(base, r.values[:, 0], rcond=None)[0]
     differences = np.diff(beside)[~r.starts[1:]]
     noise_deg = np.hypot(np.sqrt(np.mean(differences**2) / 2.0), r.rounding[0])
@@ -247,8 +247,9 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
 
 LEVEL, AT_FIRST = 0.01, 0.75
 """Family-wise significance level of a search; the share of it spent before a search with free curves."""
-MOST_CAUSES, MOST_COLUMNS = 8, 0.35
-"""Most causes in a model, such as the orders of a turn or a worm with harmonics; most columns per pose."""
+MOST_CAUSES, IN_A_FOLD, MOST_COLUMNS = 8, 12, 0.35
+"""Most causes in a model, such as the orders of a turn or a worm with harmonics; in a fold, where aliases may
+come first and leave later; most columns per pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,10 +346,9 @@ def _search_one_run(
     judge = partial(judge, level=(1.0 - AT_FIRST) * LEVEL)
 
     def better(first: Findings) -> Findings | None:
-        r = first.responses
-        if not leaves_more(r, first.fitted.residuals[:, 0]):
-            return None
-        again = _beside_free_curve(r, [c.rows(first.kept) for c in candidates], judge, rivals, noises)
+        r, again = first.responses, None
+        if leaves_more(r, first.fitted.residuals[:, 0]):
+            again = _beside_free_curve(r, [c.rows(first.kept) for c in candidates], judge, rivals, noises)
         if again is None or len(again.kept) < len(first.kept) or _criterion(again) >= _criterion(first):
             return None
         return replace(again, kept=first.kept[again.kept], noises={**again.noises, **first.noises})
@@ -492,7 +492,7 @@ def _search(
         apart = outliers(model.responses, model.accepted, len(kept) - fewest, verdict.gain)
         if not len(apart):
             met.add(state)
-            is_full = _is_full(r, accepted, len(known))
+            is_full = _is_full(r, accepted, len(known), MOST_CAUSES if rivals is None else IN_A_FOLD)
             steps, no_worth = (
                 ([], None) if is_full else _entering(r, model, accepted, verdict, judged, rivals)
             )
@@ -590,11 +590,11 @@ def _entering(
     return [step.at_elevations_of(r) for step in steps], None if steps else best.candidate.label
 
 
-def _is_full(r: Responses, accepted: Sequence[Candidate], known: int) -> bool:
-    """Return whether the model has the most causes that are searched for, the known ones not counted."""
+def _is_full(r: Responses, accepted: Sequence[Candidate], known: int, most: int) -> bool:
+    """Return whether a model has the most causes, the known ones not counted."""
     own = accepted[known:]
     series = {c.shape.series for c in own if c.shape.series}
     alone = [c for c in own if not c.shape.series]
     firsts = sum(not any(term_alike(r, other, c) for other in alone) for c in alone)
     columns = sum(c.columns.shape[2] for c in accepted)
-    return len(series) + firsts >= MOST_CAUSES or columns > MOST_COLUMNS * len(r)
+    return len(series) + firsts >= most or columns > MOST_COLUMNS * len(r)

@@ -179,11 +179,11 @@ def _known_orders(r: Responses) -> tuple[int, ...]:
 
 
 def _family(r: Responses, period_deg: float, first: int) -> Iterator[Parameters]:
-    """Yield a period's harmonics from the first wanted one to what the mean spacing resolves."""
-    places = len(np.unique(r.theta_deg))
+    """Yield a period's harmonics from the first wanted one; of even poses to what their spacing resolves."""
+    step = step_deg(r)
     for harmonic in range(first, MOST_HARMONICS + 1):
         own_deg = period_deg / harmonic
-        if harmonic > 1 and own_deg < 2.0 * r.arc_deg / places:
+        if harmonic > 1 and step is not None and own_deg < 2.0 * step:
             return
         if _left_beside(r.base[:, 0, :], r.theta_deg, np.array([own_deg]))[0] >= LEAST_LEFT:
             yield {"period_deg": own_deg, "harmonic": float(harmonic), "of_deg": period_deg}
