@@ -62,10 +62,12 @@ def client_at(address: str) -> Client:
     return Client(address)
 
 
-def open_store(db: str | None, writer: str | None = None, *, or_else: str | None = None) -> Store:
+def open_store(
+    db: str | None, writer: str | None = None, *, or_else: str | None = None, or_ask: str | None = None
+) -> Store:
     """The store of `--db`: opened for reading, or by the command that writes.
 
-    `or_else` is what else helps where another program writes to it.
+    `or_else` is what else helps where another program writes to it, `or_ask` where that one serves it.
     """
     from calrig.settings import store_url
     from calrig.store import Store
@@ -74,6 +76,7 @@ def open_store(db: str | None, writer: str | None = None, *, or_else: str | None
     try:
         return Store.open(store_url(db), writer=writer)
     except Taken as error:
-        if or_else is None:
+        instead = (or_ask if error.is_served else None) or or_else
+        if instead is None:
             raise
-        raise WorkError(f"{error}, or {or_else}") from error
+        raise WorkError(f"{error}, or {instead}") from error

@@ -57,7 +57,7 @@ def add(
         body = {"name": name, "role": role.value, "token": token}
         made = part(client_at(server).post("/api/users", body), "token")
     else:
-        with open_store(db, "users", or_else=ASK_IT) as store:
+        with open_store(db, "users", or_ask=ASK_IT) as store:
             _, made = store.users.add(name, role.value, with_token=token)
     if made is not None:
         typer.echo(made)
@@ -71,7 +71,7 @@ def token(name: Name, db: Db = None, server: Server = None) -> None:
 
         made = part(client_at(server).post(f"{_path(name)}/token", {}), "token")
     else:
-        with open_store(db, "users", or_else=ASK_IT) as store:
+        with open_store(db, "users", or_ask=ASK_IT) as store:
             _, made = store.users.new_token(name)
     typer.echo(made)
 
@@ -87,7 +87,7 @@ def role(
     if server:
         client_at(server).post(f"{_path(name)}/role", {"role": role.value})
     else:
-        with open_store(db, "users", or_else=ASK_IT) as store:
+        with open_store(db, "users", or_ask=ASK_IT) as store:
             store.users.set_role(name, role.value)
 
 
@@ -97,7 +97,7 @@ def disable(name: Name, db: Db = None, server: Server = None) -> None:
     if server:
         client_at(server).post(f"{_path(name)}/disable", {})
     else:
-        with open_store(db, "users", or_else=ASK_IT) as store:
+        with open_store(db, "users", or_ask=ASK_IT) as store:
             store.users.disable(name)
 
 

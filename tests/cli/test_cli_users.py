@@ -56,11 +56,14 @@ def test_the_same_through_a_running_service_and_it_holds_at_once(running):
     assert running.get("/api/runs", headers={"Authorization": f"Bearer {again}"}).status_code == 401
 
 
-def test_a_store_that_a_service_holds_is_said_to_be_and_how_to_reach_it(running, store_path, monkeypatch):
-    monkeypatch.delenv("CALRIG_SERVER")
+def test_a_store_that_another_program_holds_is_said_to_be_and_how_to_reach_one_that_serves_it(
+    service, store_path
+):
     said = reason("users", "add", "ada", "--db", store_path, status=1)
     assert "writes to it" in said
-    assert "--server http://HOST:PORT" in said
+    assert "--server" not in said  # nothing answers there
+    service.store.answers_at("http://127.0.0.1:9")  # it is too busy to answer
+    assert "--server http://HOST:PORT" in reason("users", "add", "ada", "--db", store_path, status=1)
 
 
 def test_what_cannot_be_done_is_said_in_one_line(folder, monkeypatch):

@@ -2,8 +2,8 @@
 
 A search finds waves one by one, and refines each while others are missing: of strong ones, each period is off
 by more than the noise allows, and so are the harmonics that follow the first of them. Harmonic k tells the
-period k times as well as the first one does, so all of a family are refined together (the harmonic model of a
-periodic signal: Quinn & Hannan, The Estimation and Tracking of Frequency, 2001, section 3).
+period k times as well as the first one does, so all of a family are refined together (Quinn & Thomson,
+Biometrika 78, 1991, on the frequency of a periodic function).
 """
 
 from __future__ import annotations
