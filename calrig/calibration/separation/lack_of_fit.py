@@ -1,4 +1,4 @@
-"""Test the joint solution for lack of fit: a mount that does not fit the others, and an unstated gear.
+"""Test the joint solution for lack of fit: a mount that does not fit, an unstated gear, a vibrating stage.
 
 Each mount is given terms of its own in addition to the joint fit: waves of the dial, as of another map; time,
 as of a clamp that gives; a unit's gains, skew and offsets, as of another unit. What they explain is tested
@@ -8,6 +8,10 @@ with Bonferroni's bound over all mounts and terms. Terms that the model has alre
 A gear whose period was not stated repeats many times in a turn, beyond the orders of the map, and raises the
 noise. The residuals are tested against every period that the angles resolve; the best period is reported if
 noise alone makes the best of them as good in at most 1 % of cases.
+
+Vibration moves the mean of an accelerometer. The stage's map turns a vector and never changes its length, so
+residuals along the vector show it whatever the map is. Windows over the dial are tested by the mean of each
+mount's residuals there, with Bonferroni's bound over all windows.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ from calrig.calibration.separation.stage_map import (
     TURN_DEG,
     highest_identifiable_order,
 )
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, wrap_deg
 
 Cause = Literal["map", "time", "unit"]
 LEVEL = 0.01
@@ -180,3 +184,35 @@ def unstated_gear(fit: Fit) -> Gear | None:
     if p_value > LEVEL:
         return None
     return Gear(TURN_DEG / float(orders[best]), math.degrees(sizes[best]), p_value)
+
+
+WINDOW_DEG, STEP_DEG = 10.0, 2.5
+SHAKEN_LEVEL = 1e-3
+"""Chance that noise alone has any window told of."""
+FEWEST_SHAKEN = 3
+"""Of a mount in a window: fewer are outliers, if anything."""
+
+
+def vibrating_at_deg(fit: Fit) -> float | None:
+    """Return the middle of the window that is most improbable; None where noise explains all of them."""
+    from scipy.special import chdtrc
+
+    table = fit.problem.table
+    if table.is_whole or not table.has_vector.all():
+        return None
+    upward = table.vector_g[:, 1:] / table.size_g[:, None]
+    along = np.einsum("nk,nk->n", fit.normal.residuals, upward) / fit.noise
+    rho = fit.problem.correlation
+    wider = (1.0 + rho) / (1.0 - rho)
+    low, high = table.dial_deg.min(), table.dial_deg.max()
+    middles = np.arange(low, high + STEP_DEG, STEP_DEG)
+    p_values = []
+    for middle in middles:
+        inside = fit.kept & (np.abs(wrap_deg(table.dial_deg - middle)) < 0.5 * WINDOW_DEG)
+        poses = np.bincount(table.mount[inside], minlength=len(table.mounts))
+        sums = np.bincount(table.mount[inside], along[inside], minlength=len(table.mounts))
+        told = poses >= FEWEST_SHAKEN
+        squares = float((sums[told] ** 2 / poses[told]).sum()) / wider
+        p_values.append(float(chdtrc(float(told.sum()), squares)) if told.any() else 1.0)
+    best = int(np.argmin(p_values))
+    return float(middles[best]) if len(middles) * p_values[best] < SHAKEN_LEVEL else None

@@ -9,7 +9,13 @@ import numpy as np
 
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.progress import Progress, unheard
-from calrig.calibration.separation.lack_of_fit import Gear, MountTest, mount_tests, unstated_gear
+from calrig.calibration.separation.lack_of_fit import (
+    Gear,
+    MountTest,
+    mount_tests,
+    unstated_gear,
+    vibrating_at_deg,
+)
 from calrig.calibration.separation.least_squares import (
     OUTLIER_STD,
     Fit,
@@ -32,7 +38,6 @@ from calrig.calibration.separation.unit_results import (
     elevation_uncertainty,
     in_plane,
 )
-from calrig.calibration.separation.vibration import vibrating_at_deg
 from calrig.estimation.angles import wrap_deg
 
 MOST_TILT_DEG = 25.0
@@ -112,7 +117,6 @@ def solve(
     linear: bool = False,
     periods_deg: Sequence[float] = (),
     seat_std_deg: float | None = None,
-    mounts_alike: bool = False,
     progress: Progress = unheard,
 ) -> Solution:
     """Solve stage, mounts and units at once.
@@ -123,8 +127,6 @@ def solve(
         periods_deg: of gears, as far as they are known.
         seat_std_deg: repeatability of one clamping to the next on one seat, if it is known; only for units
             in the plane.
-        mounts_alike: whether it is stated that neither a unit's offsets, its seat nor the stage's map differ
-            between mounts.
         progress: callback, called with the share that is done.
 
     Raises:
@@ -150,7 +152,7 @@ def solve(
         weights = np.where(shaken, 0.0, rich.weights)
         rich = _with_correlation(fitted(rich.problem, weights, rich.parameters))
     choice, plain, regions = _plain(rich, known)
-    fit = _with_spread(plain, mounts_alike)
+    fit = _with_spread(plain)
     progress(0.85)
     _refuse_another_face(fit)
     units, in_the_plane = range(len(table.units)), not table.is_whole
@@ -192,21 +194,17 @@ def _plain(rich: Fit, known: Sequence[float]) -> tuple[Choice, Fit, tuple[Region
     return choice, fit, regions
 
 
-def _with_spread(plain: Fit, mounts_alike: bool) -> Fit:
+def _with_spread(plain: Fit) -> Fit:
     """The same fit with what differs between mounts, and quartic terms, as far as the poses show them."""
     if plain.problem.correlation > HARDLY_NOISE:
         return plain
-    spread = spread_of(plain, mounts_alike=mounts_alike)
+    spread = spread_of(plain)
     if spread == PLAIN:
         return plain
     problem = replace(plain.problem, spread=spread, correlation=0.0)
     again = correlation_of(fitted(problem, plain.weights, plain.parameters))
     plain = fitted(replace(plain.problem, correlation=again), plain.weights, plain.parameters)
-    return fitted(
-        replace(plain.problem, spread=spread_of(plain, mounts_alike=mounts_alike)),
-        plain.weights,
-        plain.parameters,
-    )
+    return fitted(replace(plain.problem, spread=spread_of(plain)), plain.weights, plain.parameters)
 
 
 def _refuse_another_face(fit: Fit) -> None:

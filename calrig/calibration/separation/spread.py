@@ -35,14 +35,12 @@ NEGLIGIBLE = 0.1
 """Of the least that is tried: such a standard deviation is taken as 0."""
 
 
-def spread_of(fit: Fit, *, mounts_alike: bool = False) -> Spread:
-    """Return the standard deviations, given a fit of the plain model; none of whole units.
+def spread_of(fit: Fit) -> Spread:
+    """Return the standard deviations, given a fit of the plain model to poses with their correlation.
 
-    Args:
-        fit: of the plain model, to poses with their correlation.
-        mounts_alike: whether it is stated that no mount differs from another.
+    None of whole units.
     """
-    names = _possible(fit.problem, mounts_alike)
+    names = _possible(fit.problem)
     if not names:
         return PLAIN
     likelihood, spread = _Likelihood(fit), PLAIN
@@ -57,12 +55,12 @@ def spread_of(fit: Fit, *, mounts_alike: bool = False) -> Spread:
     return spread
 
 
-def _possible(problem: Problem, mounts_alike: bool) -> list[str]:
+def _possible(problem: Problem) -> list[str]:
     """Components that these poses can show at all."""
     table = problem.table
     if table.is_whole or not table.has_vector.any():
         return []
-    several = len(table.mounts) > len(table.units) and not mounts_alike
+    several = len(table.mounts) > len(table.units)
     return [
         *(["offset_g", "askew", "map_rad"] if several else []),
         *([] if problem.linear else ["quartic_g"]),

@@ -41,11 +41,6 @@ def test_a_component_enters_where_the_poses_show_it():
     assert moved[0] < 0.005 < 0.01 < moved[1]
 
 
-def test_mounts_that_are_stated_alike_are_taken_so():
-    spread = solve(bench(Wrong(offset_mg=0.5), 1)[1], mounts_alike=True).fit.problem.spread
-    assert (spread.offset_g, spread.askew, spread.map_rad) == (0.0, 0.0, 0.0)
-
-
 def test_a_mount_that_does_not_fit_is_named_with_what_the_standard_errors_allow():
     document = solution_document(solve(bench(Wrong(offset_mg=2.0), 1)[1]))
     (said,) = [one for one in document["warnings"] if "does not fit the others" in one]
