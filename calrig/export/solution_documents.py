@@ -19,7 +19,6 @@ from calrig.calibration.line import rms
 from calrig.calibration.separation import (
     MAP_SCHEMA,
     ElevationUncertainty,
-    Frame,
     Solution,
     Table,
     WholeUnit,
@@ -37,6 +36,7 @@ from calrig.calibration.uncertainty import COVERAGE, coverage_factor
 from calrig.canonical_json import with_sha256
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.export.calibration_document import MODEL, SCHEMA
+from calrig.model.solution import Frame
 
 CURVED = "axis_nonlinearity"
 _CURVATURES = ("y_mg_per_g2", "y_mg_per_g3", "z_mg_per_g2", "z_mg_per_g3")
@@ -200,14 +200,10 @@ def joint_files(calibrations: Mapping[str, dict[str, Any]], stage_map: dict[str,
 
     `calibrations` are the `unit_document` of each unit by serial, `stage_map` is `map_document`.
     """
-    named = {_file_name(serial): document for serial, document in calibrations.items()}
+    named = {re.sub(r"[^\w.\-]", "_", one).lstrip(".") + ".json": calibrations[one] for one in calibrations}
     return {name: in_file(document) for name, document in {**named, "stage-map.json": stage_map}.items()}
 
 
 def in_file(document: dict[str, Any]) -> str:
     """A document as its file has it."""
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _file_name(serial: str) -> str:
-    return re.sub(r"[^\w.\-]", "_", serial).lstrip(".") + ".json"

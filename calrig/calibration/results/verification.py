@@ -318,12 +318,12 @@ def _root_of(p_of: Callable[[float], float]) -> float:
 
 def _squares(error_deg: FloatArray, shapes: FloatArray, rho: float, noise_deg: float) -> float:
     """Return eᵀ(s²·R + U·Uᵀ)⁻¹e, by Woodbury's identity."""
-    e, u = _whitened(error_deg[:, None], rho)[:, 0] / noise_deg, _whitened(shapes, rho) / noise_deg
+    e, u = whitened(error_deg[:, None], rho)[:, 0] / noise_deg, whitened(shapes, rho) / noise_deg
     beside = u.T @ e
     return float(e @ e - beside @ np.linalg.solve(np.eye(u.shape[1]) + u.T @ u, beside))
 
 
-def _whitened(columns: FloatArray, rho: float) -> FloatArray:
+def whitened(columns: FloatArray, rho: float) -> FloatArray:
     """Return columns whose squares are those by R⁻¹ of a first-order autoregression."""
     white = columns.copy()
     white[1:] = (columns[1:] - rho * columns[:-1]) / math.sqrt(1.0 - rho * rho)

@@ -33,4 +33,4 @@ from calrig.calibration.separation.stage_map import (
     map_reference,
     with_map,
 )
-from calrig.calibration.separation.unit_results import ElevationUncertainty, Frame
+from calrig.calibration.separation.unit_results import ElevationUncertainty

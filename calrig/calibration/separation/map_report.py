@@ -25,6 +25,7 @@ from calrig.calibration.separation.stage_map import (
     undetermined_gaps,
 )
 from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.model.solution import Harmonic
 
 FEWEST_REPEATS = 12
 """Degrees of freedom of the pure error, below which it says little."""
@@ -68,17 +69,6 @@ def covariance_of_misfit(fit: Fit) -> FloatArray:
     gram = columns.T @ columns
     share = len(dial) / np.linalg.matrix_rank(gram, hermitian=True)
     return np.asarray(variance * share * np.linalg.pinv(gram, rcond=1e-9, hermitian=True), dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True)
-class Harmonic:
-    """amplitude·sin(order·ψ + phase); `separable` where that is known better than one pose is measured."""
-
-    order: float
-    amplitude_deg: float
-    phase_deg: float
-    std_deg: float
-    separable: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,4 +171,10 @@ def _harmonic(order: float, pair: FloatArray, covariance: FloatArray, noise_deg:
     """Of cosine and sine; the standard error is that of the wave, root mean square over its phase."""
     std_deg = float(np.sqrt(max(0.5 * np.trace(covariance), 0.0)))
     phase_deg = float(np.degrees(np.arctan2(pair[0], pair[1]))) % TURN_DEG
-    return Harmonic(float(order), float(np.hypot(*pair)), phase_deg, std_deg, std_deg < noise_deg)
+    return Harmonic(
+        order=float(order),
+        amplitude_deg=float(np.hypot(*pair)),
+        phase_deg=phase_deg,
+        std_deg=std_deg,
+        separable=std_deg < noise_deg,
+    )

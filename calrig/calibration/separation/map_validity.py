@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.calibration.poses import Pose
+from calrig.calibration.results.verification import whitened
 from calrig.calibration.separation.stage_map import StageMap, dial_of
 from calrig.estimation.angles import FloatArray, wrap_deg
 
@@ -166,20 +167,13 @@ def _at(run: _Run, shared: Sequence[tuple[int, int]]) -> list[int]:
 
 def _means(run: _Run, rho: float) -> _Means:
     """Generalised least squares of the places' means in noise of this correlation."""
-    design, error = _innovations(run.design, rho), _innovations(run.error_deg, rho)
+    design, error = whitened(run.design, rho), whitened(run.error_deg, rho)
     information = design.T @ design
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     mean = covariance @ (design.T @ error)
     left = error - design @ mean
     logs = (len(error) - 1) * np.log1p(-(rho**2)) + np.linalg.slogdet(information)[1]
     return _Means(mean, covariance, float(left @ left), float(logs))
-
-
-def _innovations(columns: FloatArray, rho: float) -> FloatArray:
-    """(n, …) what each pose has that its correlation with the one before does not tell, of unit variance."""
-    white = columns.copy()
-    white[1:] = (columns[1:] - rho * columns[:-1]) / np.sqrt(1.0 - rho**2)
-    return white
 
 
 def _seen_from_deg(

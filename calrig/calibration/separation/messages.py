@@ -6,7 +6,7 @@ By how much these would help comes from the bound, never from a rule.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,13 +23,13 @@ from calrig.calibration.separation.stage_map import (
     goes_round,
 )
 from calrig.calibration.separation.unit_results import (
-    Frame,
     axes_of,
     mounted_otherwise,
     seats_std_rad,
     unidentified,
 )
 from calrig.estimation.angles import AXES, FloatArray, robust_std, wrap_deg
+from calrig.model.solution import Frame, MountAdvice
 
 SHARE = 0.3
 """Of the largest part of a direction: what has less is not named."""
@@ -387,17 +387,7 @@ AS_GOOD = 1.1
 """A plan is as good as another within this; the one of fewer mounts, or named first, is then advised."""
 
 
-@dataclass(frozen=True, slots=True)
-class Advice:
-    """Mounts that would help, and the elevation's standard error now and then, degrees."""
-
-    mounts_deg: tuple[float, ...]
-    now_deg: float
-    then_deg: float
-    says: str
-
-
-def advised(solution: Solution, limits_deg: tuple[float, float] | None = None) -> Advice | None:
+def advised(solution: Solution, limits_deg: tuple[float, float] | None = None) -> MountAdvice | None:
     """The plan of mounts for the unit that is known least; None where none would help, or of whole units.
 
     Args:
@@ -422,13 +412,13 @@ def advised(solution: Solution, limits_deg: tuple[float, float] | None = None) -
     if now_deg < WORTH_IT * then_deg:
         return None
     angles = ", ".join(f"{angle:.4g}°" for angle in plan)
-    return Advice(
-        plan,
-        now_deg,
-        then_deg,
-        f"unit {table.units[unit]} clamped at {angles}, each with {len(rows)} poses from {dial.min():.4g}° "
-        f"to {dial.max():.4g}° of the dial: the elevation would be known to {then_deg:.2g}° in place of "
-        f"{now_deg:.2g}°",
+    return MountAdvice(
+        mounts_deg=list(plan),
+        elevation_std_deg_now=now_deg,
+        elevation_std_deg_then=then_deg,
+        says=f"unit {table.units[unit]} clamped at {angles}, each with {len(rows)} poses from "
+        f"{dial.min():.4g}° to {dial.max():.4g}° of the dial: the elevation would be known to "
+        f"{then_deg:.2g}° in place of {now_deg:.2g}°",
     )
 
 

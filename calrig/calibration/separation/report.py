@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,17 +19,17 @@ from calrig.calibration.separation.gyro import WholeGyro, whole_gyro
 from calrig.calibration.separation.held_out import HeldOut, believing_the_stage, held_out
 from calrig.calibration.separation.level import Level
 from calrig.calibration.separation.map_report import Mapped, mapped
-from calrig.calibration.separation.messages import Advice, advised, messages_of
+from calrig.calibration.separation.messages import advised, messages_of
 from calrig.calibration.separation.solution import Solution
 from calrig.calibration.separation.stage_map import basis
 from calrig.calibration.separation.unit_results import (
     Accelerometer,
     ElevationUncertainty,
-    Frame,
     accelerometer,
     polynomial,
 )
 from calrig.estimation.angles import FloatArray
+from calrig.model.solution import Frame
 
 Value = dict[str, float | None]
 UNITS = {
@@ -126,7 +126,7 @@ def solution_document(
         "mounts": _mounts(solution, on_stage),
         "separable": solution.are_separable,
         **({"rank": dict(zip(("told", "parameters"), fit.identified(), strict=True))} if is_whole else {}),
-        "advice": None if advice is None else _advice(advice),
+        "advice": None if advice is None else advice.model_dump(),
         **_figures(solution, tested),
         **_levels(solution),
         "warnings": [*solution.warnings, *messages],
@@ -158,7 +158,8 @@ def _unit(solution: Solution, unit: int, whole: WholeUnit) -> dict[str, Any]:
     coefficients, covariance = polynomial(solution.planes[unit], known.elevation_deg)
     stds = [None, None] if linear else np.sqrt(np.maximum(np.diag(covariance), 0.0))
     names = ("deg_per_deg2", "deg_per_deg3")
-    noise_mg = {} if solution.fit.problem.shape is None else {"noise_mg": _noise_mg(solution, unit)}
+    shape = solution.fit.problem.shape
+    noise_mg = {} if shape is None else {"noise_mg": (1e3 * solution.fit.noise * shape[unit]).tolist()}
     return {
         "unit": solution.table.units[unit],
         "parameters": {
@@ -171,11 +172,6 @@ def _unit(solution: Solution, unit: int, whole: WholeUnit) -> dict[str, Any]:
         **uncertainty_document(known),
         "level": None if level is None else level_document(level),
     }
-
-
-def _noise_mg(solution: Solution, unit: int) -> list[float]:
-    shape = solution.fit.problem.shape
-    return [] if shape is None else (1e3 * solution.fit.noise * shape[unit]).tolist()
 
 
 def accelerometer_document(found: Accelerometer | None) -> dict[str, Any] | None:
@@ -243,7 +239,7 @@ def _stage(solution: Solution, on_stage: Mapped) -> dict[str, Any]:
     dip = [value(*one) for one in np.degrees([fit.parameters[at], fit.stds[at]]).T]
     return {
         "map": map_document(on_stage),
-        "harmonics": [asdict(harmonic) for harmonic in on_stage.harmonics],
+        "harmonics": [harmonic.model_dump() for harmonic in on_stage.harmonics],
         "backlash_deg": None if on_stage.backlash is None else value(*on_stage.backlash),
         **({"axis_dip_deg": dip[0]} if dip else {}),
     }
@@ -280,15 +276,6 @@ def _mounts(solution: Solution, on_stage: Mapped) -> list[dict[str, Any]]:
             }
         )
     return found
-
-
-def _advice(advice: Advice) -> dict[str, Any]:
-    return {
-        "mounts_deg": list(advice.mounts_deg),
-        "elevation_std_deg_now": advice.now_deg,
-        "elevation_std_deg_then": advice.then_deg,
-        "says": advice.says,
-    }
 
 
 def _listed(matrix: Any) -> list[list[float]] | None:

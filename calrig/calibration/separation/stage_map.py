@@ -243,11 +243,7 @@ class StageMap:
         """(n,) standard uncertainty at angles of the dial; approach 0 is the middle of the play."""
         columns = self.columns(dial_deg, approach)
         variance = np.einsum("ij,jk,ik->i", columns, self.covariance_deg2, columns)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + self.local_variance_deg2(dial_deg)))
-
-    def local_variance_deg2(self, dial_deg: FloatArray) -> FloatArray:
-        """(n,) what local errors add, each angle for itself."""
-        return local_variance_deg2(self.regions, dial_deg)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + local_variance_deg2(self.regions, dial_deg)))
 
     def correction_deg(self, dial_deg: FloatArray, approach: FloatArray) -> FloatArray:
         """(n,) what the elevation is more than the dial says."""
@@ -376,7 +372,7 @@ def map_reference(
         design = np.column_stack([design, theta_deg])
     by_line = np.linalg.pinv(design) @ columns
     line = by_line @ stage_map.covariance_deg2 @ by_line.T
-    local, by_pose = stage_map.local_variance_deg2(dial_deg), np.linalg.pinv(design)
+    local, by_pose = local_variance_deg2(stage_map.regions, dial_deg), np.linalg.pinv(design)
     line += (by_pose * local) @ by_pose.T
     if bent:
         about = columns - columns.mean(axis=0)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -36,8 +35,8 @@ from calrig.calibration.separation.level import Level
 from calrig.calibration.separation.pose_table import Intp, Mount
 from calrig.calibration.separation.problem import Problem
 from calrig.estimation.angles import AXES, FloatArray, wrap_deg
+from calrig.model.solution import Frame
 
-Frame = Literal["sensor", "faces"]
 STEP = 1e-6
 RANGE_DEG = (-60.0, 60.0)
 STEP_DEG = 5.0
