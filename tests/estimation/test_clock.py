@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calrig.estimation.clock import clock_rate
+from calrig.estimation.turning import clock_rate
 
 
 def runs_of(rng, counts, rate_error=0.004, late_s=0.01):

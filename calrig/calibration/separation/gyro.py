@@ -32,7 +32,7 @@ from calrig.calibration.separation.pose_table import Intp
 from calrig.calibration.separation.stage_map import basis
 from calrig.calibration.separation.unit_results import Accelerometer, slopes_of
 from calrig.estimation.angles import FloatArray
-from calrig.estimation.clock import ClockRate, clock_rate
+from calrig.estimation.turning import ClockRate, clock_rate
 
 EARTH_DPS = 15.041 / 3600.0
 """IERS Conventions 2010, chapter 1: 7.292115e−5 rad/s."""
