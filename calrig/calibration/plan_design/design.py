@@ -146,20 +146,16 @@ def _parts(task: DesignProblem, design: Design) -> Iterator[Design]:
     return dwell_designs.parts(task, design)
 
 
-def _first_good_enough(task: DesignProblem, goals: Goals, design: Design) -> Design:
-    reached = (
-        part
-        for part in _parts(task, design)
-        if goals.reached_by(part.expanded_deg, part.bias_std_deg, part.scale_std)
-    )
-    return next(reached, design)
-
-
 def _time_s(task: DesignProblem, goals: Goals, design: Design) -> float:
     """What a design costs: its time, and of one that ends early as much what it may take as the least."""
     if not task.until:
         return design.duration_s
-    return 0.5 * (design.duration_s + _first_good_enough(task, goals, design).duration_s)
+    least_s = (
+        part.duration_s
+        for part in _parts(task, design)
+        if goals.reached_by(part.expanded_deg, part.bias_std_deg, part.scale_std)
+    )
+    return 0.5 * (design.duration_s + next(least_s, design.duration_s))
 
 
 def _why_none(task: DesignProblem, goals: Goals) -> str:
@@ -179,14 +175,12 @@ def _why_none(task: DesignProblem, goals: Goals) -> str:
 
 def with_suspects(task: DesignProblem, design: Design) -> Design:
     """The design, with what it would show."""
-    poses = (
-        imagined_dwells(design.elevations_deg, design.dwell_s, task.pace)
-        if design.sweep is None or task.sweeping is None
-        else imagined_sweep(design.sweep, task.pace, task.sweeping.turning, task.seed)
-    )
-    if design.sweep is None:
-        return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names)))
-    return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, task.names, ONLY_DWELLS_SHOW)))
+    poses = imagined_dwells(design.elevations_deg, design.dwell_s, task.pace)
+    hidden: tuple[str, ...] = ()
+    if design.sweep is not None and task.sweeping is not None:
+        poses = imagined_sweep(design.sweep, task.pace, task.sweeping.turning, task.seed)
+        hidden = ONLY_DWELLS_SHOW
+    return replace(design, suspects=tuple(suspects(poses, design.scatter_deg, hidden)))
 
 
 def allowed_deg(task: DesignProblem, goals: Goals, scatter_deg: float) -> float:

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from calrig.calibration.correlated_errors import expected_widening
 from calrig.calibration.plan_design.layout import Pace, Precision, Sweep, Turning, leverage
-from calrig.calibration.plan_design.smallest_effects import SHOWN_BY_MOVING, Suspect
+from calrig.calibration.plan_design.smallest_effects import Suspect
 from calrig.calibration.uncertainty.coverage import coverage_factor
 from calrig.model.result import Reference
 
@@ -69,10 +69,6 @@ class TypeB:
         k = coverage_factor(type_a_deg, freedom, self.std_deg, distribution)
         return k * math.hypot(type_a_deg, self.std_deg)
 
-    def type_a_deg(self, expanded_deg: float, freedom: float) -> float:
-        """The largest standard uncertainty of type A beside it; 0 where none is small enough."""
-        return _type_a_deg(self, expanded_deg, freedom)
-
     @property
     def least_deg(self) -> float:
         """The expanded uncertainty that no number of poses gets below; of settings a mean has none."""
@@ -94,7 +90,10 @@ class TypeB:
 
 @lru_cache(maxsize=4096)
 def _type_a_deg(type_b: TypeB, expanded_deg: float, freedom: float) -> float:
-    """Layouts ask for it again and again: a rectangular distribution's factor takes a millisecond."""
+    """The largest standard uncertainty of type A beside a reference; 0 where none is small enough.
+
+    Layouts ask for it again and again: a rectangular distribution's factor takes a millisecond.
+    """
     from scipy.optimize import brentq
 
     least_deg = 1e-6 * expanded_deg
@@ -126,7 +125,7 @@ def scatter_wanted_deg(
     reading, of_bias, of_scale = stated_for_scatter_1(n_poses, leverages)
     allowed = [math.inf]
     if goals.expanded_deg is not None:
-        type_a_deg = type_b.of_line(leverages[0]).type_a_deg(goals.expanded_deg, n_poses - 2.0)
+        type_a_deg = _type_a_deg(type_b.of_line(leverages[0]), goals.expanded_deg, n_poses - 2.0)
         allowed.append(type_a_deg / reading)
     if goals.bias_std_deg is not None:
         allowed.append(goals.bias_std_deg / of_bias)
@@ -208,7 +207,6 @@ class DesignProblem:
     until: bool = False
     reserve: float = RESERVE
     seed: int = 0
-    names: tuple[str, ...] = SHOWN_BY_MOVING
     sweeping: Sweeping | None = None
 
     @property

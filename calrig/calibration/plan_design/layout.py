@@ -239,7 +239,8 @@ class Sweep:
 
     def outer_s(self, turning: Turning) -> float:
         """How long the first and the last stretch of a pass are, less what the run-up takes."""
-        return self.stretch_s - _run_up_deg(self.velocity_dps, turning) / self.velocity_dps
+        run_up_deg = self.velocity_dps**2 / (2.0 * turning.acceleration_dps2) + RUN_UP_S * self.velocity_dps
+        return self.stretch_s - run_up_deg / self.velocity_dps
 
     def times_s(self, pace: Pace, turning: Turning) -> list[float]:
         """Of each pose the middle, from the first dwell's beginning on."""
@@ -285,7 +286,3 @@ def least_stretch_s(sweep: Sweep, turning: Turning) -> float:
     half = 0.5 * RUN_UP_S / (1.0 - KEPT)
     root = math.sqrt(half**2 + sweep.step_deg / (2.0 * turning.acceleration_dps2 * (1.0 - KEPT)))
     return max(half + root, sweep.step_deg / turning.velocity_dps)
-
-
-def _run_up_deg(velocity_dps: float, turning: Turning) -> float:
-    return velocity_dps**2 / (2.0 * turning.acceleration_dps2) + RUN_UP_S * velocity_dps

@@ -67,12 +67,7 @@ class Suspect:
     value: float | None
 
 
-def suspects(
-    poses: Sequence[Pose],
-    scatter_deg: float,
-    names: Sequence[str] = SHOWN_BY_MOVING,
-    hidden: Collection[str] = (),
-) -> list[Suspect]:
+def suspects(poses: Sequence[Pose], scatter_deg: float, hidden: Collection[str] = ()) -> list[Suspect]:
     """What poses would show of each suspect, by the distance of T-optimality (Atkinson & Fedorov, 1975).
 
     Of a shape X in units of the noise, less what bias, scale and the witnesses' own take of it, sizes β are
@@ -81,15 +76,14 @@ def suspects(
     Args:
         poses: as a faultless unit would measure them; fewer than eight show nothing.
         scatter_deg: of a reading.
-        names: of effects of the catalogue.
-        hidden: those among them that such poses never show.
+        hidden: effects of `SHOWN_BY_MOVING` that such poses never show.
     """
     if len(poses) < FEWEST_POSES:
-        return [_said(name, math.inf, None) for name in names]
+        return [_said(name, math.inf, None) for name in SHOWN_BY_MOVING]
     r = responses_of([poses])
     noise = _noise(r, scatter_deg)
     base = np.linalg.qr(stacked(noise, r.starts, r.base))[0]
-    found: dict[str, list[tuple[float, float | None]]] = {name: [] for name in names}
+    found: dict[str, list[tuple[float, float | None]]] = {name: [] for name in SHOWN_BY_MOVING}
     standing = replace(r, stretch_deg=np.zeros(len(r)))
     for candidate in candidates_of(r):
         shown = candidate.name in found and candidate.name not in hidden

@@ -75,15 +75,10 @@ def coverage_factor(
 
 def _within_normal(bound: float, std: float, freedom: float) -> float:
     """P(|T + X| ≤ bound) for Student's t and X normal with standard deviation `std`."""
-    variance_ratio, weight = _variance_ratios(freedom)
-    return float(weight @ _two_sided(bound / np.sqrt(1.0 / variance_ratio + std * std)))
-
-
-def _two_sided(z: FloatArray) -> FloatArray:
-    """Return the probability that a standard normal variable lies within ±z."""
     from scipy.special import ndtr
 
-    return np.asarray(2.0 * ndtr(z) - 1.0)
+    variance_ratio, weight = _variance_ratios(freedom)
+    return float(weight @ (2.0 * ndtr(bound / np.sqrt(1.0 / variance_ratio + std * std)) - 1.0))
 
 
 @lru_cache(maxsize=256)
