@@ -5,8 +5,6 @@ The stream is read in pieces of whole rows, so that a file of any length needs l
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import math
 import re
@@ -20,6 +18,7 @@ import numpy.typing as npt
 from calrig.calibration.results import Application
 from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
 from calrig.export.csv_columns import Column, missing_columns, normalised
+from calrig.export.csv_dialect import csv_text
 from calrig.export.csv_errors import CsvError, CsvReport
 from calrig.export.csv_table import Cells, Layout, Table, layout_of, read_rows
 
@@ -123,7 +122,7 @@ class Applier:
         self._report = layout.report
         place = _Places.of(layout, self.application)
         titles = map(_title, layout.columns, layout.units or [""] * len(layout.columns))
-        begun = _written([[*titles, *ADDED]], layout.dialect.separator)
+        begun = csv_text([[*titles, *ADDED]], layout.dialect.separator)
         begin, line = layout.begin, layout.first_line
         with layout.report as report:
             for piece in itertools.chain([first], pieces):
@@ -169,7 +168,7 @@ class Applier:
         dialect = table.layout.dialect
         added = ([_text(value, dialect.decimal) for value in column.tolist()] for column in (elevation, std))
         rows = ([*row, *more] for row, *more in zip(table.rows, *added, strict=True))
-        return _written(rows, dialect.separator)
+        return csv_text(rows, dialect.separator)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,9 +252,3 @@ def _title(column: Column, unit: str) -> str:
 
 def _text(value: float, decimal: str) -> str:
     return "" if math.isnan(value) else f"{value:.9g}".replace(".", decimal)
-
-
-def _written(rows: Iterator[list[str]] | list[list[str]], separator: str) -> str:
-    text = io.StringIO()
-    csv.writer(text, delimiter=separator, lineterminator="\n").writerows(rows)
-    return text.getvalue()

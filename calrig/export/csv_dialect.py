@@ -1,9 +1,14 @@
-"""The signs between cells and in decimals of a CSV file: as stated, else as its names and cells tell."""
+"""The signs between cells and in decimals of a CSV file: as stated, else as its names and cells tell.
+
+`csv_text` writes such a file.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from calrig.export.csv_columns import MAX_COLUMNS, names_a_known
@@ -27,6 +32,13 @@ class Dialect:
 
 
 COMMAS = Dialect()
+
+
+def csv_text(rows: Iterable[Iterable[str]], separator: str = ",") -> str:
+    """Return rows of cells as lines of a CSV file."""
+    text = io.StringIO()
+    csv.writer(text, delimiter=separator, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def stated_separator(row: bytes, line: int) -> str | None:

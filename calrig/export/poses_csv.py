@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import math
 from array import array
@@ -13,6 +11,7 @@ from typing import cast, get_args, overload
 
 from calrig.calibration.poses import COLUMNS, HOST_TIME, INTEGER, MOUNT_DEG, OF_MOUNTS, REQUIRED, Pose
 from calrig.calibration.separation import FACES, MountedPoses
+from calrig.export.csv_dialect import csv_text
 from calrig.export.csv_errors import CsvError, CsvReport
 from calrig.export.csv_table import Cells, for_spreadsheet, from_spreadsheet, read_tables
 from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
@@ -163,7 +162,7 @@ def write_pose_batches(
     kept = [name for name in names if name in known]
     first = next((pose for batch in batches() for pose in batch), None)
     texts = [] if labels is None or first is None else list(labels(first))
-    yield _rows([[for_spreadsheet(name) for name in (*kept, *texts)]])
+    yield csv_text([[for_spreadsheet(name) for name in (*kept, *texts)]])
 
     def cells(pose: Pose) -> Iterator[str]:
         row, said = pose.row(), {} if labels is None else labels(pose)
@@ -171,13 +170,7 @@ def write_pose_batches(
         yield from (said[name] for name in texts)
 
     for batch in batches():
-        yield _rows(map(cells, batch))
-
-
-def _rows(cells: Iterable[Iterable[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(cells)
-    return text.getvalue()
+        yield csv_text(map(cells, batch))
 
 
 class _Column:

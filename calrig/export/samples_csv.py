@@ -5,24 +5,20 @@ Each sample has its pose, and whether it belongs to the move to that pose or to 
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import AXES, FloatArray
+from calrig.export.csv_dialect import csv_text
 from calrig.store.records import RawSamples, SampleBlock
 
 COLUMNS = (
     "time_s",
-    "accel_x_g",
-    "accel_y_g",
-    "accel_z_g",
-    "gyro_x_dps",
-    "gyro_y_dps",
-    "gyro_z_dps",
+    *(f"accel_{axis}_g" for axis in AXES),
+    *(f"gyro_{axis}_dps" for axis in AXES),
     "temperature_c",
 )
 _ROWS_A_PIECE = 500
@@ -47,26 +43,19 @@ def write_samples_csv(blocks: Iterable[RawSamples]) -> Iterator[str]:
     `blocks` come one after the other; the first says whether the board sends its angle.
     """
     names: list[str] = []
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    text = ""
     for block in blocks:
         columns = sample_columns(block)
         if not names:
             names = list(columns)
-            writer.writerow(names)
-        for first in range(0, len(block), _ROWS_A_PIECE):
-            piece = (columns[name][first : first + _ROWS_A_PIECE].tolist() for name in names)
-            writer.writerows(
-                ["" if math.isnan(value) else repr(value) for value in row]
-                for row in zip(*piece, strict=True)
-            )
-            if text.tell() > _CHARACTERS_A_PIECE:
-                yield text.getvalue()
-                text.seek(0)
-                text.truncate()
-    if not names:
-        writer.writerow(COLUMNS)
-    yield text.getvalue()
+            text = csv_text([names])
+        table = np.column_stack([columns[name] for name in names])
+        for rows in _rows(table):
+            text += rows
+            if len(text) > _CHARACTERS_A_PIECE:
+                yield text
+                text = ""
+    yield text if names else csv_text([COLUMNS])
 
 
 def write_samples_npz(samples: RawSamples) -> bytes:
@@ -81,21 +70,19 @@ def labelled_samples(blocks: Iterable[SampleBlock]) -> Iterator[bytes]:
 
     The last column, `angle_deg`, is the elevation as the board computed it, empty where it sends none.
     """
-    yield _lines([["pose", "phase", *COLUMNS, "angle_deg"]])
+    yield csv_text([["pose", "phase", *COLUMNS, "angle_deg"]]).encode()
     for block in blocks:
         unknown = np.full(len(block.time_s), math.nan)
         angle_deg = unknown if block.angle_deg is None else block.angle_deg
         numbers = (block.time_s, block.accel_g, block.gyro_dps, block.temperature_c, angle_deg)
-        table = np.column_stack(numbers).tolist()
-        label = [str(block.pose_index), block.phase]
-        for first in range(0, len(table), _ROWS_A_PIECE):
-            yield _lines(
-                [*label, *("" if math.isnan(value) else repr(value) for value in row)]
-                for row in table[first : first + _ROWS_A_PIECE]
-            )
+        for rows in _rows(np.column_stack(numbers), str(block.pose_index), block.phase):
+            yield rows.encode()
 
 
-def _lines(rows: Iterable[list[str]]) -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
+def _rows(table: FloatArray, *label: str) -> Iterator[str]:
+    """The lines of a table (n, columns), some at a time, each behind its label."""
+    for first in range(0, len(table), _ROWS_A_PIECE):
+        yield csv_text(
+            [*label, *("" if math.isnan(value) else repr(value) for value in row)]
+            for row in table[first : first + _ROWS_A_PIECE].tolist()
+        )
