@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import Any
 
 import numpy as np
 
@@ -42,9 +41,7 @@ from calrig.export.certificate.content import (
     by_itself,
 )
 from calrig.model.result import Reference, ReferenceFigures
-from calrig.store.records import AcceptedEffect, reference_of
-
-Document = Mapping[str, Any]
+from calrig.store.records import AcceptedEffect, Document, reference_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +63,8 @@ class Measured:
         """(n,) errors as the unit came: by the calibration that it had, or of its readings."""
         if self.came_with is not None:
             return self._left_deg(self.came_with, _own(self.came_with))
-        theta = np.array([pose.theta_deg for pose in self.poses])
-        return np.asarray(wrap_deg(np.array([pose.reading_deg for pose in self.poses]) - theta))
+        theta, reading = angles_deg(self.poses)
+        return np.asarray(wrap_deg(reading - theta))
 
     def left_deg(self) -> FloatArray:
         """(n,) errors with this calibration."""
@@ -104,7 +101,7 @@ class Measured:
 
     def points(self, expanded_deg: float | None) -> tuple[Point, ...]:
         """The errors by elevation."""
-        theta = np.array([pose.theta_deg for pose in self.poses])
+        theta, _ = angles_deg(self.poses)
         places = places_deg(theta, nominal_deg(self.poses))
         found, left = self.found_deg(), self.left_deg()
         if not self.document["level_known"]:  # as the verdict has it

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime
 from typing import Literal
@@ -72,6 +72,11 @@ def stated(value: str | None) -> str:
     return value or NOT_STATED
 
 
+def shown(value: float | None, form: Callable[[float], str] = "{:.2f}".format) -> str:
+    """A figure in a form, or that none is stated."""
+    return NOT_STATED if value is None else form(value)
+
+
 def degrees(value: float) -> str:
     """An angle of which no uncertainty is stated, two digits."""
     return f"{_minus(by_itself(value))}°"
@@ -103,10 +108,10 @@ def conformity(said: Certificate) -> tuple[Block, ...]:
         ("Statement", found.answer_in_words),
         ("Specification", f"{found.limit_name}: {'; '.join(found.asks) or NOT_STATED}"),
         ("Decision rule", found.rule + (f". {agreed}" if agreed else "")),
-        ("Probability of conformity", _probability(found.probability_of_conformity)),
+        ("Probability of conformity", shown(found.probability_of_conformity, percent)),
     ]
     if found.answer == "pass":
-        rows.append(("Probability of false acceptance", _probability(found.probability_of_false_accept)))
+        rows.append(("Probability of false acceptance", shown(found.probability_of_false_accept, percent)))
     return pairs(rows), paragraphs(found.says)
 
 
@@ -135,7 +140,7 @@ def budget(said: Certificate) -> tuple[Block, ...]:
             f"{line.symbol}: {line.title}",
             line.type_,
             line.distribution,
-            _freedom(line.freedom),
+            shown(line.freedom, _freedom),
             f"{by_itself(line.std)}{line.unit}" if line.std else "–",
             _minus(f"{by_itself(line.sensitivity, 3)} {line.sensitivity_unit}") if line.sensitivity else "–",
             f"{by_itself(line.contribution_deg)}°" if line.contribution_deg else "–",
@@ -145,11 +150,11 @@ def budget(said: Certificate) -> tuple[Block, ...]:
     ]
     numbers = (False, False, False, True, True, True, True, True)
     combined = [
-        ("Combined standard uncertainty u", _angle(found.combined_deg)),
-        ("Effective degrees of freedom", _freedom(found.effective_freedom)),
-        ("Coverage factor k", _factor(found.coverage_factor)),
+        ("Combined standard uncertainty u", shown(found.combined_deg, degrees)),
+        ("Effective degrees of freedom", shown(found.effective_freedom, _freedom)),
+        ("Coverage factor k", shown(found.coverage_factor)),
         ("Coverage probability", f"{100 * found.coverage:g} %"),
-        ("Expanded uncertainty U", _angle(found.expanded_deg)),
+        ("Expanded uncertainty U", shown(found.expanded_deg, degrees)),
     ]
     return table(columns, rows, numbers), pairs(combined), paragraphs(found.method + found.not_contained)
 
@@ -160,14 +165,14 @@ def _elevation(said: Certificate) -> str:
         return f"Expanded uncertainty of a calibrated elevation: {NOT_STATED}"
     return (
         f"Expanded uncertainty of a calibrated elevation: U = {found.expanded_text}° "
-        f"(k = {_factor(found.coverage_factor)}, {100 * (found.coverage or 0.0):g} %)"
+        f"(k = {shown(found.coverage_factor)}, {100 * (found.coverage or 0.0):g} %)"
     )
 
 
 def _line(one: Quantity) -> tuple[str, ...]:
     unit = one.unit
     u = NOT_STATED if one.expanded_text is None else f"{one.expanded_text}{unit}"
-    return one.title, f"{_minus(one.text)}{unit}", u, _factor(one.coverage_factor)
+    return one.title, f"{_minus(one.text)}{unit}", u, shown(one.coverage_factor)
 
 
 def _effect(one: EffectFound, whose: str) -> Block:
@@ -198,26 +203,12 @@ def _point(point: Point, place: int) -> tuple[str, ...]:
         f"{at(point.found_low_deg)} … {at(point.found_high_deg)}",
         at(point.left_deg),
         f"{at(point.left_low_deg)} … {at(point.left_high_deg)}",
-        NOT_STATED if point.expanded_deg is None else degrees(point.expanded_deg),
+        shown(point.expanded_deg, degrees),
     )
 
 
-def _probability(value: float | None) -> str:
-    return NOT_STATED if value is None else percent(value)
-
-
-def _freedom(value: float | None) -> str:
-    if value is None:
-        return NOT_STATED
+def _freedom(value: float) -> str:
     return "∞" if math.isinf(value) else f"{math.floor(value)}"
-
-
-def _factor(value: float | None) -> str:
-    return NOT_STATED if value is None else f"{value:.2f}"
-
-
-def _angle(value: float | None) -> str:
-    return NOT_STATED if value is None else degrees(value)
 
 
 def _minus(text: str) -> str:
@@ -277,7 +268,7 @@ def sheet_of(said: Certificate) -> Sheet:
             *filter(None, [laboratory.accreditation]),
         ),
         sections=(
-            Section("Item", (_item(said), *_supplied(said))),
+            Section("Item", _item(said)),
             Section("Calibration", (_dates(said),)),
             Section("Results", results(said)),
             Section("Conformity", conformity(said)),
@@ -302,7 +293,7 @@ def moment(when: datetime | date | None) -> str:
     return f"{when:%Y-%m-%d %H:%M} UTC" if isinstance(when, datetime) else f"{when:%Y-%m-%d}"
 
 
-def _item(said: Certificate) -> Block:
+def _item(said: Certificate) -> tuple[Block, ...]:
     item = said.item
     received = None if item.received_on is None else moment(item.received_on)
     rows = [
@@ -316,14 +307,9 @@ def _item(said: Certificate) -> Block:
         ("Date of receipt", received, "date of receipt"),
     ]
     marks = dict.fromkeys(item.supplied, SUPPLIED_MARK)
-    return pairs((name + marks.get(field, ""), stated(value)) for name, value, field in rows)
-
-
-def _supplied(said: Certificate) -> Iterable[Block]:
-    if said.item.supplied:
-        yield paragraphs(
-            ["† Supplied by the customer; the laboratory is not responsible for it, nor for what follows."]
-        )
+    told = pairs((name + marks.get(field, ""), stated(value)) for name, value, field in rows)
+    supplied = "† Supplied by the customer; the laboratory is not responsible for it, nor for what follows."
+    return (told, paragraphs([supplied])) if item.supplied else (told,)
 
 
 def _dates(said: Certificate) -> Block:

@@ -8,9 +8,7 @@ from typing import Any
 from calrig.calibration.uncertainty import significant
 from calrig.export.certificate.content import Row
 from calrig.model.verdict import Limit
-from calrig.store.records import StoredPose
-
-Document = Mapping[str, Any]
+from calrig.store.records import Document, StoredPose
 
 PAPER = (
     "Nirmal et al., Noise modeling and analysis of an IMU-based attitude sensor, "
