@@ -15,7 +15,7 @@ import numpy as np
 from calrig.calibration.effects import effect_of
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose, of_first_mount
-from calrig.calibration.results import FittedResult, readings_wrap
+from calrig.calibration.results import FittedResult, angles_deg, readings_wrap
 from calrig.calibration.separation import in_words
 from calrig.calibration.uncertainty import reference_figures, uncertainty
 from calrig.canonical_json import json_of_file, sha256_of
@@ -163,9 +163,7 @@ def turns_of_readings_deg(poses: Sequence[Pose], line: Line) -> float:
 
 def _wrap(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> bool | None:
     """Return whether the readings start anew after a turn; None where the poses do not show it."""
-    theta_deg, reading_deg = (
-        np.array([getattr(pose, name) for pose in poses]) for name in ("theta_deg", "reading_deg")
-    )
+    theta_deg, reading_deg = angles_deg(poses)
     return readings_wrap(reading_deg, bias_deg + (1.0 if scale is None else scale) * theta_deg)
 
 

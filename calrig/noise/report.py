@@ -146,23 +146,15 @@ def _channel(one: ChannelNoise) -> dict[str, Any]:
         "adf_slope": curve.adf_slope,
         "psd_slope": None if one.psd_slope is None else one.psd_slope.slope,
         "colour": one.colour,
-        "allan": {
-            "tau_s": curve.tau_s.tolist(),
-            "deviation": curve.deviation.tolist(),
-            "low": curve.low.tolist(),
-            "high": curve.high.tolist(),
-        },
+        "allan": {name: getattr(curve, name).tolist() for name in ("tau_s", "deviation", "low", "high")},
         "coefficients": {
             kind: None if (found := getattr(one.coefficients, kind)) is None else asdict(found)
             for kind in COEFFICIENTS
         },
         "lines": [asdict(line) for line in one.lines],
         "distribution": {
-            "gaussian": spread.gaussian,
-            "p_value": spread.p_value,
-            "skewness": spread.skewness,
-            "kurtosis": spread.kurtosis,
-            "outliers": spread.outliers,
+            name: getattr(spread, name)
+            for name in ("gaussian", "p_value", "skewness", "kurtosis", "outliers")
         },
         "temperature": None if one.temperature is None else asdict(one.temperature),
     }

@@ -25,7 +25,7 @@ from calrig.model.run import AT_REST
 from calrig.store import Run, Store
 from calrig.store.convert import iso_utc
 from calrig.store.issued import Revision
-from calrig.store.records import Document, Solved
+from calrig.store.records import Document
 from calrig.store.trail import entry_document
 
 _REGULAR_FILE = 0o100644 << 16
@@ -182,8 +182,10 @@ class _Contents:
         listed = []
         for one, shown in zip(revisions, self._listed(revisions), strict=True):
             self._saw(one.issued_at)
-            solution = self._solution_of(one)
-            known = {} if solution is None else {"solution": {"rig": solution.rig, **asdict(solution.basis)}}
+            known: Document = {}
+            if (number := one.basis.get("solution")) is not None:
+                solved = self._store.solutions.get(number).found
+                known = {"solution": {"rig": solved.rig, **asdict(solved.basis)}}
             listed.append({**shown, "file": layout.document_name(one.revision), "basis": one.basis, **known})
             if one.status == "in_force":
                 self._in_force = one.revision
@@ -193,11 +195,6 @@ class _Contents:
         yield _document(layout.EFFECTS, [asdict(effect) for effect in effects])
         for one in revisions:
             yield Member(layout.document_name(one.revision), [one.text.encode()])
-
-    def _solution_of(self, one: Revision) -> Solved | None:
-        """The joint solution that a revision is of, if any."""
-        number = one.basis.get("solution")
-        return None if number is None else self._store.solutions.get(number).found
 
     def _entries(self, newest: int) -> Iterator[bytes]:
         """The unit's entries of the trail up to a number, a line each, and what each is chained to."""
@@ -217,13 +214,13 @@ class _Contents:
         """The unit's, and those of another unit by now that a revision rests on; their list comes last."""
         listed: list[Document] = []
         cursor: str | None = None
-        more = True
-        while more:
+        while True:
             runs, cursor = self._store.runs.page(unit=self._unit, limit=RUNS_AT_ONCE, cursor=cursor)
             for run in runs:
                 rested_on.discard(run.id)
                 yield from self._run(run, listed)
-            more = cursor is not None
+            if cursor is None:
+                break
         for run_id in sorted(rested_on):
             if (moved := self._store.runs.get(run_id)) is not None:
                 yield from self._run(moved, listed)

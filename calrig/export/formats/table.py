@@ -153,11 +153,8 @@ def _comment(
     ]
     if lsb_deg is not None:
         parts.append(f"integers of 1 LSB = {lsb_deg:.10g}°")
-    return "# " + _one_line("; ".join(parts))
-
-
-def _one_line(text: str) -> str:
-    return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
+    text = "".join(sign if sign.isprintable() else " " for sign in "; ".join(parts))
+    return f"# {' '.join(text.split())}"
 
 
 EXPORTER = CalibrationExporter(
