@@ -478,7 +478,7 @@ class Agent:
             threading.Thread(target=self._keep_going, args=(name, run), name=name, daemon=True)
             for name, run in work.items()
         ]
-        service.bus.subscribe_to_all(self._outbox.wake)
+        service.bus.hear(lambda _run_id: self._outbox.wake())
         service.meter.registry.register(LinkCounts(self.lease, service.store))
 
     def start(self) -> None:

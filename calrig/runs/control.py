@@ -80,19 +80,23 @@ class Control:
 
     Args:
         clock: of the run's rig, by which those wait who want to hear that the stage stands.
+
+    Attributes:
+        asked: the end that was asked for first.
+        is_waiting: whether the run stands until a person says Go.
+        paused, resumed: who wished for the pause, and who ended it.
     """
 
     def __init__(self, clock: Clock = WALL) -> None:
         self._lock = threading.Lock()
-        self._end: End | None = None
+        self.asked: End | None = None
         self._halt: Callable[[], None] | None = None
         self._hold = threading.Event()
-        self._held_by: str | None = None
-        self._resumed_by: str | None = None
+        self.paused, self.resumed = Act("paused", None), Act("resumed", None)
         self._left: StopOutcome | None = None
         self._clock = clock
         self._go: ResumeRequest | None = None
-        self._waits = False
+        self.is_waiting = False
         self._has_left = clock.event()
         self._reached = clock.event()
 
@@ -100,7 +104,7 @@ class Control:
         """Says how to stop the stage; called once it is open."""
         with self._lock:
             self._halt = halt
-            already_asked = self._end is not None
+            already_asked = self.asked is not None
         self._reached.set()
         if already_asked:
             _send(halt)
@@ -108,25 +112,15 @@ class Control:
     def end(self, end: End) -> None:
         """Asks the run to end; the first request decides the status, each one halts the stage again."""
         with self._lock:
-            self._end = self._end or end
+            self.asked = self.asked or end
             halt = self._halt
         if halt is not None:
             _send(halt)
 
-    @property
-    def is_to_end(self) -> bool:
-        """Whether an end was asked for."""
-        return self._end is not None
-
-    @property
-    def asked(self) -> End | None:
-        """The end that was asked for first."""
-        return self._end
-
     def check(self) -> None:
         """Raises Ended where an end was asked for."""
-        if self._end is not None:
-            raise Ended(self._end)
+        if self.asked is not None:
+            raise Ended(self.asked)
 
     def leave(self, left: StopOutcome) -> None:
         """The run has left its stage, as it says; what it said first holds."""
@@ -146,45 +140,30 @@ class Control:
 
     def pause(self, who: str | None = None) -> None:
         """Asks the run to hold after the pose in hand."""
-        self._held_by = who
+        self.paused = Act("paused", who)
         self._hold.set()
 
     def resume(self, who: str | None = None) -> None:
         """Takes the wish for a pause back, or ends the pause."""
-        self._resumed_by = who
+        self.resumed = Act("resumed", who)
         self._hold.clear()
-
-    @property
-    def paused(self) -> Act:
-        """Who wished for the pause."""
-        return Act("paused", self._held_by)
-
-    @property
-    def resumed(self) -> Act:
-        """Who ended it."""
-        return Act("resumed", self._resumed_by)
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
         """While it lasts the run stands until a person says Go."""
-        self._waits = True
+        self.is_waiting = True
         try:
             yield
         finally:
             with self._lock:
-                self._waits, left = False, self._go
+                self.is_waiting, left = False, self._go
             if left is not None:
                 left.answer(ENDED)
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether the run stands until a person says Go."""
-        return self._waits
 
     def say_go(self, who: str | None = None) -> ResumeRequest | None:
         """Says so, and gives what will be answered; who asks meanwhile shares it. None where none waits."""
         with self._lock:
-            if not self._waits:
+            if not self.is_waiting:
                 return None
             self._go = self._go or ResumeRequest(self._clock.event(), who)
             return self._go

@@ -22,7 +22,7 @@ from calrig.settings import ClampSettings, RigSettings
 
 
 class WorkerRegistry:
-    """The workers of a service. Thread-safe."""
+    """The workers of a service. Thread-safe. Once it `is_closing`, nobody is taken any more."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -30,17 +30,12 @@ class WorkerRegistry:
         self._busy: dict[str, str] = {}  # rigs by name, each with its run
         self._unreachable: set[str] = set()
         self._called_off: set[str] = set()
-        self._is_closing = False
-
-    @property
-    def is_closing(self) -> bool:
-        """Whether nobody is taken any more."""
-        return self._is_closing
+        self.is_closing = False
 
     def require_free(self, rig_name: str, run_id: str | None = None) -> None:
         """Raises Conflict where a rig takes no run now, or not this one, and why."""
         with self._lock:
-            if self._is_closing:
+            if self.is_closing:
                 raise Conflict("the service is shutting down")
             if self._busy.get(rig_name, run_id) != run_id:
                 raise Conflict(f"rig {rig_name!r} is busy with run {self._busy[rig_name]}")
@@ -52,12 +47,18 @@ class WorkerRegistry:
     @contextmanager
     def keeping(self, rig_name: str, run_id: str) -> Iterator[bool]:
         """Keeps a rig for a run that is about to begin, and no longer; gives whether the rig was free."""
-        kept = self._keep(rig_name, run_id)
+        with self._lock:
+            is_free = not self.is_closing and rig_name not in self._busy
+            if is_free:
+                self._busy[rig_name] = run_id
         try:
-            yield kept
+            yield is_free
         finally:
-            if kept:
-                self._let_go(rig_name, run_id)
+            with self._lock:
+                if is_free:
+                    self._called_off.discard(run_id)
+                    if self._busy.get(rig_name) == run_id and run_id not in self._workers:
+                        del self._busy[rig_name]
 
     def call_off(self, rig_name: str) -> None:
         """Whatever a rig is kept for is not to move it any more."""
@@ -105,23 +106,9 @@ class WorkerRegistry:
     def close(self) -> list[Worker]:
         """Takes nobody any more; returns who is there, the first time."""
         with self._lock:
-            workers = [] if self._is_closing else list(self._workers.values())
-            self._is_closing = True
+            workers = [] if self.is_closing else list(self._workers.values())
+            self.is_closing = True
         return workers
-
-    def _keep(self, rig_name: str, run_id: str) -> bool:
-        with self._lock:
-            if self._is_closing or rig_name in self._busy:
-                return False
-            self._busy[rig_name] = run_id
-            return True
-
-    def _let_go(self, rig_name: str, run_id: str) -> None:
-        """Keeps a rig no longer, unless the run has got its worker."""
-        with self._lock:
-            self._called_off.discard(run_id)
-            if self._busy.get(rig_name) == run_id and run_id not in self._workers:
-                del self._busy[rig_name]
 
 
 T = TypeVar("T")

@@ -185,7 +185,7 @@ class PresenceMonitor:
 
     def look(self, rig: RigSettings) -> None:
         """Has a rig's board looked at for a while; returns at once. Nothing is done while it is busy."""
-        if rig.imu is None or not self._is_free(rig.name):
+        if rig.imu is None or not self._crew.is_free(rig.name):
             return
         with self._lock:
             watch = self._watches.get(rig.name)
@@ -228,9 +228,6 @@ class PresenceMonitor:
             watch.let_go.set()
         for watch in watches:
             watch.over.wait(LEAVES_S)
-
-    def _is_free(self, rig_name: str) -> bool:
-        return rig_name not in self._crew.look()[0]
 
     def _left_at(self, rig_name: str) -> float | None:
         """The elevation at which the last run left the stage; None where that is not known."""
@@ -289,13 +286,13 @@ class PresenceMonitor:
 
     def _is_for_a_run(self, watch: _Watch) -> bool:
         """Whether a look has ended because a run takes the rig, which may be about to say so."""
-        is_taken = not self._is_free(watch.rig.name) and watch.let_go.wait(LEAVES_S)
+        is_taken = not self._crew.is_free(watch.rig.name) and watch.let_go.wait(LEAVES_S)
         return is_taken and not self._is_closing
 
     def _require(self, watch: _Watch) -> None:
         """Raises where the rig is needed, or nobody has asked for a while."""
         is_over = watch.let_go.is_set() or self._is_closing or time.monotonic() > watch.until_s
-        if is_over or not self._is_free(watch.rig.name):
+        if is_over or not self._crew.is_free(watch.rig.name):
             raise _Unwanted
 
 

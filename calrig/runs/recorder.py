@@ -28,13 +28,7 @@ class Bus:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._watchers: dict[str, list[Callable[[], None]]] = {}
-        self._of_all: list[Callable[[], None]] = []
         self._hearing: list[Callable[[str], None]] = []
-
-    def subscribe_to_all(self, wake: Callable[[], None]) -> None:
-        """Has `wake` called after each commit of new events of any run."""
-        with self._lock:
-            self._of_all.append(wake)
 
     def hear(self, heard: Callable[[str], None]) -> None:
         """Has `heard` called with the run after each commit of new events of any run."""
@@ -59,8 +53,7 @@ class Bus:
     def wake(self, run_id: str) -> None:
         """Calls everybody who watches the run."""
         with self._lock:
-            watchers = [*self._watchers.get(run_id, ()), *self._of_all]
-            hearing = list(self._hearing)
+            watchers, hearing = list(self._watchers.get(run_id, ())), list(self._hearing)
         for wake in watchers:
             wake()
         for heard in hearing:
@@ -193,11 +186,6 @@ class Recorder:
         self._readings: list[tuple[str, dict[str, Any]]] = []
         self._last_reading_s = self._last_flush_s = -math.inf
 
-    @property
-    def status(self) -> Status:
-        """The run's status as last written."""
-        return self._status
-
     def state(
         self,
         status: Status,
@@ -212,13 +200,10 @@ class Recorder:
         check_transition(self.run_id, self._status, status)
         self.flush()
         told: RunChanges = {**(changes or {}), "status": status}
-        events: list[Announced] = []
         if self._waiting_for is not None:
             self._waiting_for = None
             told["progress"] = self._progress()
-            events = [("progress", told["progress"].model_dump())]
-        self._store.runs.update(self.run_id, events=events, draft=draft, asked=asked, **told)
-        self._became(status, told)
+        self._become(status, told, draft, asked)
 
     def waits_for(self, asked: Mount, clamped_at: Callable[[float, float], float]) -> None:
         """The run is paused until a person has done what is asked; any other state ends that.
@@ -228,26 +213,25 @@ class Recorder:
         check_transition(self.run_id, self._status, "paused")
         self.flush()
         self._waiting_for, self._clamped_at = asked, clamped_at
-        told: RunChanges = {"status": "paused", "progress": self._progress()}
-        self._store.runs.update(self.run_id, events=[("progress", told["progress"].model_dump())], **told)
-        self._became("paused", told)
+        self._become("paused", {"status": "paused", "progress": self._progress()})
 
-    def _became(self, status: Status, told: RunChanges) -> None:
-        self._tell_watchers(status, told)
-        if status == "paused":
-            self._paused_s = self._now_s()
-        elif self._status == "paused":  # a pause says nothing of how long poses take
-            self._first_pose_began_s += self._now_s() - self._paused_s
-        self._status = status
-        self._bus.wake(self.run_id)
-
-    def _tell_watchers(self, status: Status, told: RunChanges) -> None:
+    def _become(
+        self, status: Status, told: RunChanges, draft: Draft | None = None, asked: Act | None = None
+    ) -> None:
+        events = [("progress", told["progress"].model_dump())] if "progress" in told else []
+        self._store.runs.update(self.run_id, events=events, draft=draft, asked=asked, **told)
         self.meter.faults(told.get("faults", {}))
         if status in AT_REST:
             self.meter.ended(status)
         error = told.get("error")
         level = logging.WARNING if status in {"failed", "interrupted"} else logging.INFO
         log.log(level, "run %s is %s%s", self.run_id, status, f": {error}" if error else "")
+        if status == "paused":
+            self._paused_s = self._now_s()
+        elif self._status == "paused":  # a pause says nothing of how long poses take
+            self._first_pose_began_s += self._now_s() - self._paused_s
+        self._status = status
+        self._bus.wake(self.run_id)
 
     def poses_begin(self, planned_s: Sequence[float] = ()) -> None:
         """The first pose begins: the time left is computed from here.

@@ -310,7 +310,7 @@ def open_rig(
             yield Rig(settings, clock, axis, axis.stage, board, stage, sensor, place, faults_before)
     finally:
         out_of_reach = False
-        if axis.has_moved or control.is_to_end:
+        if axis.has_moved or control.asked is not None:
             out_of_reach = not _told_to_stop(axis, control, warn)
         if axis.has_moved and not out_of_reach:
             place.was_stopped(axis)

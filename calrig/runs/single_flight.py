@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
+from functools import partial
 from typing import Generic, TypeVar
 
 from calrig.instruments.clock import Clock
@@ -55,15 +56,13 @@ class SingleFlight:
             errand = self._under_way.get(key)
             if errand is None:
                 errand = self._under_way[key] = SharedTask(clock)
-                clock.thread(lambda: self._carry_out(key, errand, work), f"errand {key}").start()
+                carry_out = partial(errand.carry_out, partial(self._work_to_its_end, key, work))
+                clock.thread(carry_out, f"errand {key}").start()
             return errand  # type: ignore[return-value]  # of the same key, so of the same work
 
-    def _carry_out(self, key: Hashable, errand: SharedTask[T], work: Callable[[], T]) -> None:
-        def work_to_its_end() -> T:
-            try:
-                return work()
-            finally:
-                with self._lock:  # before anybody hears of its end: who asks from then on asks anew
-                    del self._under_way[key]
-
-        errand.carry_out(work_to_its_end)
+    def _work_to_its_end(self, key: Hashable, work: Callable[[], T]) -> T:
+        try:
+            return work()
+        finally:
+            with self._lock:  # before anybody hears of its end: who asks from then on asks anew
+                del self._under_way[key]
