@@ -17,7 +17,6 @@ from calrig.analysis.calibration_in_force import active_calibration
 from calrig.analysis.errors import Conflict, RunsError, Unknown
 from calrig.analysis.results import ending_of, fitted, gyro_of
 from calrig.analysis.revisions import Fitted, Issuer
-from calrig.analysis.stored_runs import stored_run
 from calrig.centre.bench_rigs import BenchCounts, BenchRigs
 from calrig.instruments.clock import WALL, Clock
 from calrig.model.plan import MountAxis
@@ -284,10 +283,6 @@ class CentreService(Service):
             waits=waits,
             **wanted.columns(len(planned)),
         )
-
-    def run(self, run_id: str) -> Run:
-        """The run, or Unknown."""
-        return stored_run(self.store, run_id)
 
     def abort(self, run_id: str, who: str | None = None) -> Run:
         """Ends a run: takes its order back, or has its bench stop the stage and end it.

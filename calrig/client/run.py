@@ -103,25 +103,21 @@ class Run:
     Attributes:
         id: its id.
         unit: the serial number of its unit.
+        record: the run as it was when it was last looked at.
     """
 
     def __init__(self, link: Transport, record: RunRecord) -> None:
-        self._link, self._record = link, record
+        self._link, self.record = link, record
         self.id, self.unit = record.id, record.unit
         self._path = f"/api/runs/{record.id}"
 
     def __repr__(self) -> str:
-        return f"<calrig run {self.id} of {self.unit!r}, {self._record.status}>"
-
-    @property
-    def record(self) -> RunRecord:
-        """The run as it was when it was last looked at."""
-        return self._record
+        return f"<calrig run {self.id} of {self.unit!r}, {self.record.status}>"
 
     def look(self) -> RunRecord:
         """The run as it is now."""
-        self._record = typed(RunRecord, self._link.get(self._path))
-        return self._record
+        self.record = typed(RunRecord, self._link.get(self._path))
+        return self.record
 
     def events(self, after: int = 0, *, away: Away = ignore_error) -> Iterator[RunEvent]:
         """What happened since an event, then what happens, until the run has ended; each once, in order.
@@ -165,7 +161,7 @@ class Run:
 
     def wait(self) -> RunRecord:
         """The run once it has ended, however."""
-        if self._record.status not in AT_REST:
+        if self.record.status not in AT_REST:
             for _ in self.events():
                 pass
         return self.look()
@@ -177,7 +173,7 @@ class Run:
         Raises:
             RunFailed: it was not completed, or measures nothing that is fitted (a static log).
         """
-        return result_of(self._record if self._record.status == "completed" else self.wait())
+        return result_of(self.record if self.record.status == "completed" else self.wait())
 
     def abort(self) -> RunRecord:
         """Stops the stage and ends the run; the poses measured so far stay.
@@ -256,8 +252,8 @@ class Run:
         return figure
 
     def _ask(self, what: str, body: dict[str, Any] | None = None) -> RunRecord:
-        self._record = typed(RunRecord, self._link.post(f"{self._path}/{what}", body or {}))
-        return self._record
+        self.record = typed(RunRecord, self._link.post(f"{self._path}/{what}", body or {}))
+        return self.record
 
 
 def result_of(record: RunRecord) -> Result:

@@ -7,7 +7,7 @@ The design itself is pure computation, for a process of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -305,14 +305,7 @@ class Designed:
             },
             "limit": {"duration_s": self.limit_s, "why": _why(self)},
             "suspects": [
-                {
-                    "name": one.name,
-                    "title": one.title,
-                    "rms_deg": one.rms_deg if one.rms_deg < 1e6 else None,
-                    "parameter": one.parameter,
-                    "unit": one.unit,
-                    "value": one.value,
-                }
+                {**asdict(one), "rms_deg": one.rms_deg if one.rms_deg < 1e6 else None}
                 for one in self.whole.suspects
             ],
             "says": list(self.says),

@@ -168,14 +168,10 @@ class OwnGyro:
     ) -> float | None:
         """The turn over the move into the last dwell about an axis, by the bias of the dwells beside it."""
         k = self.along if axis is None else axis
-        bias_dps = self.bias_beside_dps(k)
+        bias_dps = _mean_dps(self.last, k)
         if bias_dps is None:
             return None
         return felt_move_deg(move.time_s, move.gyro_dps[:, k], bias_dps, period_s, lasts_s)
-
-    def bias_beside_dps(self, axis: int) -> float | None:
-        """The mean bias of the last two dwells; None where they do not tell."""
-        return _mean_dps(self.last, axis)
 
     def bias_with_dps(self, dwell: Samples) -> float:
         """About the stage's axis, the mean of the last dwell and of one that has not been taken yet."""
@@ -202,6 +198,7 @@ class OwnGyro:
 
 
 def _mean_dps(biases: Iterable[GyroBias], axis: int) -> float | None:
+    """The mean of biases about an axis; None where they do not tell."""
     known = [bias_dps for bias in biases if (bias_dps := bias.bias_dps[axis]) is not None]
     return sum(known) / len(known) if known else None
 

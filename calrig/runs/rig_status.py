@@ -50,12 +50,7 @@ TOLD = ("limits_deg", "release", "remount_limit_deg", "reference", "filter")
 def said_of(state: RigState, settings: RigSettings, seen: BoardCheck | None) -> dict[str, Any]:
     """What a bench says of one of its rigs, an entry of `bench.said["rigs"]`; ports are its own affair."""
     return {
-        "name": state.name,
-        "stage": state.stage,
-        "imu": state.imu,
-        "simulated": state.simulated,
-        "state": state.state,
-        "run_id": state.run_id,
+        **state.model_dump(include={"name", "stage", "imu", "simulated", "state", "run_id"}),
         "seen": None if seen is None else asdict(seen),
         **settings.model_dump(mode="json", include=set(TOLD)),
     }

@@ -10,7 +10,6 @@ from types import MappingProxyType
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.analysis.revisions import Issuer, Releases
-from calrig.analysis.stored_runs import stored_run
 from calrig.model.plan import MountAxis
 from calrig.model.service import RigState
 from calrig.runs.assignment import NewRun, RunAssignment
@@ -165,7 +164,7 @@ class RunService(Service):
         """The run, or Unknown. One whose end the store could not be told of yet is as it ended."""
         worker = self.crew.of_run(run_id)  # before the store is asked: it is let go once that is told
         untold = None if worker is None else worker.untold
-        run = stored_run(self.store, run_id)
+        run = super().run(run_id)
         return run if untold is None else run.model_copy(update=untold)
 
     def abort(self, run_id: str, who: str | None = None) -> Run:

@@ -89,9 +89,9 @@ class Service(ABC):
         """Starts that run; Conflict where nothing can be separated on the rig, and why, or it is busy."""
         return self.start_on(rig_followed_up_on(asked.last), NewRun.following(asked, found, who))
 
-    @abstractmethod
     def run(self, run_id: str) -> Run:
         """The run, or Unknown."""
+        return stored_run(self.store, run_id)
 
     @abstractmethod
     def abort(self, run_id: str, who: str | None = None) -> Run:

@@ -112,10 +112,6 @@ class Taken:
     move: Samples
     stage_move_deg: float
 
-    def felt_as(self, gyro_move_deg: float | None) -> Pose:
-        """The pose with the move into it by the gyro."""
-        return replace(self.pose, gyro_move_deg=gyro_move_deg)
-
 
 @dataclass(frozen=True, slots=True)
 class Traverse:
@@ -529,7 +525,8 @@ class ContinuousSweep:
             if passed[0].index + taken.place < len(taking.poses):
                 continue
             travel_s = abs(taken.stage_move_deg) / self.plan.turn_dps
-            pose = taken.felt_as(taking.gyro.felt_deg(taken.move, 1.0 / self.pace.rate_hz, travel_s))
+            felt_deg = taking.gyro.felt_deg(taken.move, 1.0 / self.pace.rate_hz, travel_s)
+            pose = replace(taken.pose, gyro_move_deg=felt_deg)
             lasts_s = float(np.ptp(turned.dwell.time_s))
             check = taking.felt.take(pose, taken.stage_move_deg, taken.move, bias_std_dps, lasts_s)
             taking.keep(pose, taken.before, taken.samples, check)
