@@ -124,6 +124,7 @@ class FollowUpRun:
             "deciding": self.deciding,
             "decided_on": self.decided_on,
             "decided_early": self._decided,
+            "reference": self.earlier.findings.responses.request.reference,
         }
 
     def diagnosis(self, run_id: str, measured: Sequence[Pose]) -> dict[str, Any] | None:

@@ -393,6 +393,7 @@ def test_a_follow_up_rests_on_the_same_poses_and_finds_the_same_in_them() -> Non
         "deciding": 2,
         "decided_on": [],
         "decided_early": False,
+        "reference": "stage",
     }
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
+from calrig.calibration.diagnosis.lack_of_fit import leaves_more, with_free_curve
 from calrig.calibration.diagnosis.reselection import competing_candidates
-from calrig.calibration.diagnosis.selection import is_of_the_curve, leaves_more, search, with_free_curve
+from calrig.calibration.diagnosis.selection import is_of_the_curve, search
 from calrig.calibration.diagnosis.significance_test import Verdict, gate
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.line import rms

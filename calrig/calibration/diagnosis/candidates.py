@@ -257,13 +257,16 @@ def term_alike(r: Responses, first: Candidate, other: Candidate) -> Candidate | 
     """Return the further term of a cause, as of a worm, that these poses do not tell from another effect."""
     if other is first or other.label != first.label or first.beside or first.changed:
         return None
-    return next((term for term in _further_terms(r, first) if not term.is_distinct(r, other)), None)
+    place = first.effect.place
+    alike = [term for term in _further_terms(r, first) if not term.is_distinct(r, other)]
+    return min(alike, key=lambda term: abs(term.shape.at[place] - other.shape.at[place]), default=None)
 
 
-def follows(term: Candidate, first: Candidate) -> bool:
+def is_term_of(term: Candidate, first: Candidate) -> bool:
     """Return whether a candidate is a further term of another one, at a place that moves with it."""
     there = term.shape.at.get(OF)
-    return term.label == first.label and there is not None and there == first.shape.at[first.effect.place]
+    is_another = term is not first and term.label == first.label
+    return is_another and there is not None and there == first.shape.at[first.effect.place]
 
 
 @lru_cache(maxsize=KEPT)

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.diagnosis.candidates import Candidate, own_columns
+from calrig.calibration.diagnosis.families import with_free_orphans
 from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.report import covariance_with_places, has_size, words_of
 from calrig.calibration.diagnosis.reselection import penalised_criterion
@@ -57,6 +58,7 @@ def established(findings: Findings, *, draws: bool) -> Findings:
 
 def with_effects(findings: Findings, found: Sequence[SelectedEffect]) -> Findings:
     """Return findings of the same poses with other effects."""
+    found = with_free_orphans(findings.responses, list(found))
     model = fitted_model(findings.responses, [f.candidate for f in found])
     return replace(findings, found=tuple(found), fitted=model.fitted, columns=model.columns)
 

@@ -1,8 +1,8 @@
 """Families: the harmonics of a worm, a motor or a scale have its period, and move with it.
 
-A search finds waves one by one, and refines each while others are missing: of strong ones, each period is off
-by more than the noise allows, and so are the harmonics that follow the first of them. Harmonic k tells the
-period k times as well as the first one does, so all of a family are refined together (Quinn & Thomson,
+A search finds waves one by one, and refines each while others are missing. Strong ones leave more than the
+noise then, so that each period is a little wrong, and with it the harmonics offered of it. Harmonic k tells
+the period k times as well as the first wave does. So a family is refined together (Quinn & Thomson,
 Biometrika 78, 1991, on the frequency of a periodic function).
 """
 
@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from calrig.calibration.diagnosis.candidate_fits import CLOSE, moved, slope
-from calrig.calibration.diagnosis.candidates import Candidate, follows, own_columns, term_alike
-from calrig.calibration.diagnosis.ranking import SelectedEffect
+from calrig.calibration.diagnosis.candidates import Candidate, is_term_of, own_columns, term_alike
+from calrig.calibration.diagnosis.ranking import SelectedEffect, at_best_place
 from calrig.calibration.diagnosis.reselection import penalised_criterion
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.regression.effect import OF
@@ -25,24 +25,43 @@ from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray
 
 STEPS, HALVINGS = 4, 3
-SAME = 0.01
-"""Of −2 log likelihood: what improves a model by less is where it was."""
+LEAST_GAIN = 0.01
+"""Of −2 log likelihood with penalties, for which a family takes the place of its waves."""
 
 
-def with_families(r: Responses, found: list[SelectedEffect]) -> list[SelectedEffect]:
+def with_families(r: Responses, found: list[SelectedEffect], known: int = 0) -> list[SelectedEffect]:
     """Tie what may be a harmonic of another wave to it, and refine them together, where the model improves.
 
     Args:
         r: the responses.
         found: the effects of a model.
+        known: how many of the first were found in another base, and stay.
     """
-    for k in range(len(found)):
-        terms = _terms(r, found, found[k])
+    found = with_free_orphans(r, found)
+    for k in range(known, len(found)):
+        terms = _terms(r, found[known:], found[k])
         if terms:
             tied = _refined(r, found, found[k], terms)
             before, after = (penalised_criterion(r, _candidates(each)) for each in (found, tied))
-            if after < before - SAME:
+            if after < before - LEAST_GAIN:
                 found = tied
+    return found
+
+
+def with_free_orphans(r: Responses, found: list[SelectedEffect]) -> list[SelectedEffect]:
+    """Give each harmonic whose first wave has left the model a period of its own.
+
+    Args:
+        r: the responses.
+        found: the effects of a model.
+    """
+    for k, f in enumerate(found):
+        one, others = f.candidate, [other.candidate for other in found if other is not f]
+        has_first = one.shape.at.get(OF) in (None, *r.known_periods_deg)
+        if not has_first and not any(is_term_of(one, other) for other in others):
+            place = one.effect.place
+            free = moved(r, one, {place: one.shape.at[place]})
+            found = [*found[:k], replace(f, candidate=at_best_place(r, others, free)), *found[k + 1 :]]
     return found
 
 
@@ -57,7 +76,7 @@ def place_slope(model: Model, own: Sequence[slice], k: int) -> FloatArray:
     first = model.accepted[k]
     name, change = first.effect.place, slope(model.responses, first, model.fitted.beta[own[k]])
     for c, at in zip(model.accepted, own, strict=True):
-        if follows(c, first):
+        if is_term_of(c, first):
             share = c.shape.at[name] / first.shape.at[name]
             change = change + share * slope(model.responses, c, model.fitted.beta[at])
     return change
@@ -68,12 +87,15 @@ def _terms(
 ) -> dict[SelectedEffect, Candidate]:
     """Return the effects that may be further terms of one, each as that term.
 
-    What has terms of its own stays the first of them.
+    What has terms that are not among them stays the first of its own.
     """
     alike = {f: term_alike(r, first.candidate, f.candidate) for f in found}
     may_be = {f: term for f, term in alike.items() if term is not None}
-    has_own = {f for f in may_be if any(term_alike(r, f.candidate, g.candidate) is not None for g in found)}
-    return {f: term for f, term in may_be.items() if f not in has_own}
+
+    def has_others(f: SelectedEffect) -> bool:
+        return any(is_term_of(g.candidate, f.candidate) and g not in may_be for g in found)
+
+    return {f: term for f, term in may_be.items() if not has_others(f)}
 
 
 def _refined(
@@ -85,6 +107,7 @@ def _refined(
     """Gauss-Newton steps of the place of a cause with all its terms, each as long as it improves the fit."""
     name, k = first.candidate.effect.place, found.index(first)
     place = start = first.candidate.shape.at[name]
+    is_known = bool(first.candidate.shape.series)  # an order of the turn
 
     def at(there: float) -> list[SelectedEffect]:
         put = list(found)
@@ -98,7 +121,7 @@ def _refined(
         return put
 
     best, std = at(place), 0.0
-    for _ in range(STEPS):
+    for _ in range(0 if is_known else STEPS):
         model = fitted_model(r, _candidates(best))
         own = own_columns(model.columns, model.accepted)
         moving = fit(model.responses, np.concatenate([model.columns, place_slope(model, own, k)], axis=2))
@@ -110,7 +133,7 @@ def _refined(
         if better is None:
             break
         place, best = better
-    shape = replace(best[k].candidate.shape, at_std={name: std})
+    shape = replace(best[k].candidate.shape, at_std=first.candidate.shape.at_std if is_known else {name: std})
     best[k] = replace(best[k], candidate=replace(best[k].candidate, shape=shape))
     return best
 

@@ -21,8 +21,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.channels import BoolArray
+from calrig.calibration.regression.responses import Responses
+from calrig.calibration.regression.spline import natural_spline
 from calrig.estimation.angle_text import angle_text
 from calrig.estimation.angles import FloatArray
 
@@ -248,3 +251,29 @@ def _experiment(lack: LackOfFit, temperature: bool) -> str:
     if lack.lag1_correlation >= SLOW:
         return f"it is slow: repeat one elevation, which tells time from angle, and {warm}"
     return "it differs from pose to pose: repeat one elevation from one side, to see what the rig repeats to"
+
+
+def with_free_curve(r: Responses) -> Responses | None:
+    """Return the responses with a free curve of the elevation for each approach; None with too few poses."""
+    sides = [np.ones(len(r), dtype=bool)]
+    if r.approach is not None and len(np.unique(r.approach[r.approach != 0.0])) > 1:
+        sides = [r.approach > 0.0, r.approach <= 0.0]
+    enough = [count for count in MORE_KNOTS if len(r) >= POSES_A_KNOT * count * len(sides)]
+    if not enough or len(np.unique(r.theta_deg)) <= max(enough) + 1:
+        return None
+    curve = natural_spline(r.theta_deg, max(enough))
+    columns = [(np.column_stack([np.ones(len(r)), curve]).T * side).T for side in sides]
+    own = np.concatenate([columns[0][:, 1:], *columns[1:]], axis=1)  # one side has the bias itself
+    return r.with_free(own, "curve")
+
+
+def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
+    """Return whether residuals (n,) are several times the pose-to-pose difference about free curves."""
+    free = with_free_curve(r)
+    if free is None or r.starts.all():
+        return False
+    base = free.base[:, 0]
+    beside = r.values[:, 0] - base @ np.linalg.lstsq(base, r.values[:, 0], rcond=None)[0]
+    differences = np.diff(beside)[~r.starts[1:]]
+    noise_deg = np.hypot(np.sqrt(np.mean(differences**2) / 2.0), r.rounding[0])
+    return bool(residual_deg.std() > SEVERAL * noise_deg)

@@ -30,7 +30,7 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import (
     Candidate,
     documented_forms,
-    follows,
+    is_term_of,
     model_columns,
     own_columns,
     rebuilt,
@@ -202,7 +202,7 @@ def _with_std_of_places(effects: Sequence[Candidate], covariance: FloatArray) ->
         if variance > 0.0:  # else the others say the same, and leave nothing to tell it by
             first, place = effects[k], effects[k].effect.place
             for m, one in enumerate(effects):
-                if one is first or follows(one, first):
+                if one is first or is_term_of(one, first):
                     share = one.shape.at[place] / first.shape.at[place]
                     at_std = {place: share * math.sqrt(float(variance))}
                     found[m] = replace(one, shape=replace(one.shape, at_std=at_std))

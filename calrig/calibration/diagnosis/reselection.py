@@ -18,8 +18,8 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import (
     Candidate,
     at_its_elevations,
-    follows,
     harmonics_of,
+    is_term_of,
     orders_beside,
     own_columns,
 )
@@ -237,7 +237,7 @@ def reselected(
         known: how many of the first were found in another base, and stay.
         rivals: competing candidates, where they are known; else all candidates compete.
         fresh: an effect that was just compared with the same others in the model.
-        curves: whether curves may replace the orders of a turn; then only these are compared.
+        curves: whether curves may replace the terms of a series, as orders are; only these are compared then.
         thorough: whether rivals, leads and places that look alike are wanted of every effect.
     """
     if len(found) == known + 1:
@@ -303,7 +303,9 @@ def _against_rivals(
         again = replace(one, candidate=at_best_place(r, others, one.candidate))
     else:
         again = named(r, others, rivals, ratios, one.p_value, one.candidate)
-    if any(follows(c, one.candidate) for c in others) and _is_at_place_of(r, again.candidate, one.candidate):
+    if any(is_term_of(c, one.candidate) for c in others) and _is_at_place_of(
+        r, again.candidate, one.candidate
+    ):
         again = replace(again, candidate=one.candidate)  # its terms move with it (`with_families`)
     place = next(k for k, f in enumerate(found) if f is one)
     # a term without a size would give its place in the model to an effect that no test has passed

@@ -23,12 +23,13 @@ from calrig.calibration.diagnosis.candidates import (
     at_its_elevations,
     companions_of,
     is_order_beside,
+    is_term_of,
     model_columns,
     orders_beside,
     term_alike,
 )
 from calrig.calibration.diagnosis.families import with_families
-from calrig.calibration.diagnosis.lack_of_fit import SEVERAL
+from calrig.calibration.diagnosis.lack_of_fit import leaves_more, with_free_curve
 from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import (
@@ -54,12 +55,11 @@ from calrig.calibration.diagnosis.significance_test import (
     gate,
     model_of,
 )
-from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, TIMES, UNSTEADY
+from calrig.calibration.effects.unnamed import TIMES, UNSTEADY
 from calrig.calibration.regression.effect import APPROACH, ELEVATION
 from calrig.calibration.regression.noise_model import STRONG_RHO, Fit, NoiseModel, distance_of, fit, noise_of
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.run_changes import RUN, is_level, with_free_levels
-from calrig.calibration.regression.spline import natural_spline
 from calrig.calibration.regression.terms import goes_round, less_line
 from calrig.estimation.angles import FloatArray
 
@@ -210,20 +210,6 @@ def _says_no_more(step: SelectedEffect, offered: Sequence[Candidate]) -> bool:
     return any(behind.get(member.label, np.inf) < margin for member in step.candidate.members)
 
 
-def with_free_curve(r: Responses) -> Responses | None:
-    """Return the responses with a free curve of the elevation for each approach; None with too few poses."""
-    sides = [np.ones(len(r), dtype=bool)]
-    if r.approach is not None and len(np.unique(r.approach[r.approach != 0.0])) > 1:
-        sides = [r.approach > 0.0, r.approach <= 0.0]
-    enough = [count for count in MORE_KNOTS if len(r) >= POSES_A_KNOT * count * len(sides)]
-    if not enough or len(np.unique(r.theta_deg)) <= max(enough) + 1:
-        return None
-    curve = natural_spline(r.theta_deg, max(enough))
-    columns = [(np.column_stack([np.ones(len(r)), curve]).T * side).T for side in sides]
-    own = np.concatenate([columns[0][:, 1:], *columns[1:]], axis=1)  # one side has the bias itself
-    return r.with_free(own, "curve")
-
-
 def is_of_the_curve(candidate: Candidate) -> bool:
     """Return whether a candidate depends on elevation and approach alone."""
     of_curve = {ELEVATION.name, APPROACH.name}
@@ -231,18 +217,6 @@ def is_of_the_curve(candidate: Candidate) -> bool:
         of_curve.issuperset(member.covariate.split(TIMES)) and member.shape.form != UNSTEADY
         for member in candidate.members
     )
-
-
-def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
-    """Return whether residuals (n,) are several times the pose-to-pose difference about free curves."""
-    free = with_free_curve(r)
-    if free is None or r.starts.all():
-        return False
-    base = free.base[:, 0]
-    beside = r.values[:, 0] - base @ np.linalg.lstsq(base, r.values[:, 0], rcond=None)[0]
-    differences = np.diff(beside)[~r.starts[1:]]
-    noise_deg = np.hypot(np.sqrt(np.mean(differences**2) / 2.0), r.rounding[0])
-    return bool(residual_deg.std() > SEVERAL * noise_deg)
 
 
 LEVEL, AT_FIRST = 0.01, 0.75
@@ -277,7 +251,7 @@ class Findings:
     beside_curve: bool = False
 
     @property
-    def places(self) -> frozenset[object]:
+    def model_key(self) -> frozenset[object]:
         """What tells the model from others of the same poses."""
         return frozenset(place_of(f.candidate) for f in self.found)
 
@@ -335,8 +309,9 @@ def _search_one_run(
 ) -> Findings:
     """Search one run; if too much is left, search again, first for what no free curve explains.
 
-    The model of the smaller penalised criterion on the same poses is returned. A fold makes only the search
-    whose model was kept of all poses; with too few poses for a free curve, the first one.
+    The second is kept if its penalised criterion is smaller than that of the first on the same poses, before
+    the effects of the first are compared thoroughly. A fold makes only the search whose model was kept of all
+    poses; with too few poses for a free curve, the first one.
     """
     at_first = partial(judge, level=AT_FIRST * LEVEL)
     if rivals is not None and rivals.beside_curve:  # at a level that the draws of a fold can reach
@@ -375,7 +350,7 @@ def _beside_free_curve(
     again = _search(r.rows(kept), curves, judge, between.found, rivals, noises)
     kept, curves = kept[again.kept], [c.rows(again.kept) for c in curves]
     bent = _with_curves(again, curves, len(between.found), rivals)
-    if bent.places != again.places:  # beside a curve more may be seen
+    if bent.model_key != again.model_key:  # beside a curve more may be seen
         known, begun = bent.found[: len(between.found)], bent.found[len(between.found) :]
         more = _search(bent.responses, curves, judge, known, rivals, noises, begun)
         again, kept = replace(more, noises={**more.noises, **again.noises}), kept[more.kept]
@@ -466,8 +441,8 @@ def _search(
 ) -> Findings:
     """Search in one base, with the `known` effects in the model from the start; `judge` tests significance.
 
-    So are those `begun` with, which need not stay. What is `better` than the effects before these are
-    compared thoroughly is returned instead.
+    So are those `begun` with, which need not stay. `better` gets the findings before effects are compared
+    thoroughly; if it returns others, these are returned.
 
     In each round the model is fitted and all candidates are tested. Outliers are left out; else the best
     significant candidate enters and all effects are reselected; inadmissible or needless ones leave. The
@@ -549,7 +524,7 @@ def _with_steps(
     """Return the effects with those that enter, all reselected; None where they cannot be true together."""
     fresh = steps[0] if rivals is not None and len(steps) == 1 else None
     entered = reselected(r, candidates, [*found, *steps], known, rivals, fresh=fresh, thorough=False)
-    entered = with_known_places(r, candidates, with_families(r, entered))
+    entered = with_known_places(r, candidates, with_families(r, entered, known))
     return admitted(r, found, entered, known) if found else entered
 
 
@@ -558,12 +533,12 @@ def _compared(
 ) -> tuple[list[SelectedEffect], bool]:
     """Return the effects, each compared thoroughly, or as they were if those cannot be true together.
 
-    And whether they stay what they were compared as: none has moved to a known place since.
+    And whether they stay what they were compared as: none has moved to a known place or become a harmonic.
     """
     again = reselected(r, candidates, found, known)
     if again and is_admissible(r, [f.candidate for f in again]):
         found = eliminated(r, again, known)[0]
-    families = with_families(r, found)
+    families = with_families(r, found, known)
     placed = with_known_places(r, candidates, families)
     forms, before = ([f.candidate.shape.form for f in those] for those in (families, found))
     return placed, placed is families and forms == before
@@ -593,8 +568,10 @@ def _entering(
 def _is_full(r: Responses, accepted: Sequence[Candidate], known: int, most: int) -> bool:
     """Return whether a model has the most causes, the known ones not counted."""
     own = accepted[known:]
-    series = {c.shape.series for c in own if c.shape.series}
+    if not own:
+        return False
     alone = [c for c in own if not c.shape.series]
+    series = {c.shape.series for c in own if c.shape.series and not any(is_term_of(c, o) for o in own)}
     firsts = sum(not any(term_alike(r, other, c) for other in alone) for c in alone)
     columns = sum(c.columns.shape[2] for c in accepted)
     return len(series) + firsts >= most or columns > MOST_COLUMNS * len(r)

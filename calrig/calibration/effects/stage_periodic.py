@@ -190,8 +190,8 @@ def _family(r: Responses, period_deg: float, first: int) -> Iterator[Parameters]
 
 
 def _harmonics(r: Responses, shape: Shape) -> Iterator[Parameters]:
-    """Yield the further harmonics of a period that was found, which is no order of the turn."""
-    if not shape.series:
+    """Yield the further harmonics of a period that was found, an order of the turn or not."""
+    if shape.scanned:
         yield from _family(r, shape.at["period_deg"], 2)
 
 

@@ -276,7 +276,7 @@ def displacement_doubts(
         e["name"] for e in before["effects"] if e["name"] in still_accepted and e["name"] not in corrected
     ]
     if lost:
-        from calrig.calibration.effects import title_inside
+        from calrig.calibration.effects import title_inside  # not loaded before it is needed
 
         # a unit's document has errors of the angle only where the reference is good
         names = ", ".join(title_inside(name, reference_is_good=True) for name in sorted(lost))

@@ -314,7 +314,7 @@ def _found(effect: Document, *, reference_is_good: bool) -> str:
 
 def candidate_titles(effect: Document, *, reference_is_good: bool) -> list[str]:
     """Return the titles, inside a sentence, of an effect and of those that it is confusable with."""
-    from calrig.calibration.effects import title_inside
+    from calrig.calibration.effects import title_inside  # not loaded before it is needed
 
     own, title = effect["name"], partial(title_inside, reference_is_good=reference_is_good)
     others = (SAME_EFFECT if name == own else title(name) for name in effect["confusable_with"])
