@@ -15,7 +15,7 @@ import numpy as np
 
 from calrig.calibration.diagnosis.candidates import Candidate, own_columns
 from calrig.calibration.diagnosis.families import with_free_orphans
-from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
+from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect, candidates_in
 from calrig.calibration.diagnosis.report import covariance_with_places, has_size, words_of
 from calrig.calibration.diagnosis.reselection import penalised_criterion
 from calrig.calibration.diagnosis.selection import Findings
@@ -77,9 +77,12 @@ def _without(
         if any(f.candidate.follows == other.candidate.name for f in fewer):
             continue
         kept, left = min(
-            ((rest, other), (fewer, one)), key=lambda pair: penalised_criterion(r, _candidates(pair[0]))
+            ((rest, other), (fewer, one)), key=lambda pair: penalised_criterion(r, candidates_in(pair[0]))
         )
-        if penalised_criterion(r, _candidates(kept)) > penalised_criterion(r, _candidates(found)) + MARGIN:
+        if (
+            penalised_criterion(r, candidates_in(kept))
+            > penalised_criterion(r, candidates_in(found)) + MARGIN
+        ):
             told = f"these poses determine its size only without {words_of(r, other.candidate)} and need both"
             return [one.against(other.candidate, told) if f is one else f for f in found]
         dropped = one if kept is rest else other
@@ -94,10 +97,6 @@ def _ambiguous_with(r: Responses, one: SelectedEffect, dropped: SelectedEffect) 
     return one.against(dropped.candidate, told)
 
 
-def _candidates(found: Sequence[SelectedEffect]) -> list[Candidate]:
-    return [f.candidate for f in found]
-
-
 def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> list[float]:
     """Return each effect's chance of coefficients as large in noise alone, the other effects present.
 
@@ -106,7 +105,7 @@ def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> l
     """
     from scipy.special import fdtrc
 
-    candidates = _candidates(found)
+    candidates = candidates_in(found)
     model = fitted_model(r, candidates)
     own = own_columns(model.columns, candidates)
     freedom = max(1, len(r) - int(np.any(model.columns[:, 0, :] != 0.0, axis=0).sum()))

@@ -16,7 +16,7 @@ import numpy as np
 
 from calrig.calibration.diagnosis.candidate_fits import CLOSE, moved, slope
 from calrig.calibration.diagnosis.candidates import Candidate, is_term_of, own_columns, term_alike
-from calrig.calibration.diagnosis.ranking import SelectedEffect, at_best_place
+from calrig.calibration.diagnosis.ranking import SelectedEffect, at_best_place, candidates_in
 from calrig.calibration.diagnosis.reselection import penalised_criterion
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model
 from calrig.calibration.regression.effect import OF
@@ -42,7 +42,7 @@ def with_families(r: Responses, found: list[SelectedEffect], known: int = 0) -> 
         terms = _terms(r, found[known:], found[k])
         if terms:
             tied = _refined(r, found, found[k], terms)
-            before, after = (penalised_criterion(r, _candidates(each)) for each in (found, tied))
+            before, after = (penalised_criterion(r, candidates_in(each)) for each in (found, tied))
             if after < before - LEAST_GAIN:
                 found = tied
     return found
@@ -122,21 +122,19 @@ def _refined(
 
     best, std = at(place), 0.0
     for _ in range(0 if is_known else STEPS):
-        model = fitted_model(r, _candidates(best))
+        model = fitted_model(r, candidates_in(best))
         own = own_columns(model.columns, model.accepted)
         moving = fit(model.responses, np.concatenate([model.columns, place_slope(model, own, k)], axis=2))
         step, std = float(moving.beta[-1]), math.sqrt(max(float(moving.covariance[-1, -1]), 0.0))
         steps = [step / 4.0**m for m in range(HALVINGS) if abs(step) / 4.0**m > CLOSE * std]
         tried = ((place + one, at(place + one)) for one in steps if abs(one) < 0.5 * place)
         least = model.fitted.criterion
-        better = next((t for t in tried if fitted_model(r, _candidates(t[1])).fitted.criterion < least), None)
+        better = next(
+            (t for t in tried if fitted_model(r, candidates_in(t[1])).fitted.criterion < least), None
+        )
         if better is None:
             break
         place, best = better
     shape = replace(best[k].candidate.shape, at_std=first.candidate.shape.at_std if is_known else {name: std})
     best[k] = replace(best[k], candidate=replace(best[k].candidate, shape=shape))
     return best
-
-
-def _candidates(found: Sequence[SelectedEffect]) -> list[Candidate]:
-    return [f.candidate for f in found]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
@@ -333,6 +333,11 @@ def _first_best(values: FloatArray) -> int:
 def _has_place(candidate: Candidate) -> bool:
     """Return whether the likelihood refines a place of a candidate."""
     return candidate.effect.place != "" and candidate.beside is None and not candidate.shape.series
+
+
+def candidates_in(found: Iterable[SelectedEffect]) -> list[Candidate]:
+    """Return the candidates that effects were selected from."""
+    return [f.candidate for f in found]
 
 
 def at_best_place(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> Candidate:

@@ -27,6 +27,7 @@ from calrig.calibration.diagnosis.ranking import (
     MARGIN,
     SelectedEffect,
     at_best_place,
+    candidates_in,
     named,
     within_reach,
 )
@@ -406,19 +407,15 @@ def admitted(
         entered: with those that entered.
         known: how many of the first were found in another base, and stay.
     """
-    if is_admissible(r, _candidates(entered)):
+    if is_admissible(r, candidates_in(entered)):
         return entered
     followed = {f.candidate.follows for f in entered}
     may_leave = [f for f in entered[known:] if f.candidate.name not in followed]
     fewer = [[f for f in entered if f is not one] for one in may_leave]
-    fewer = [those for those in fewer if is_admissible(r, _candidates(those))]
-    best = min(fewer, key=lambda those: penalised_criterion(r, _candidates(those)), default=list(found))
-    is_better = penalised_criterion(r, _candidates(best)) < penalised_criterion(r, _candidates(found))
+    fewer = [those for those in fewer if is_admissible(r, candidates_in(those))]
+    best = min(fewer, key=lambda those: penalised_criterion(r, candidates_in(those)), default=list(found))
+    is_better = penalised_criterion(r, candidates_in(best)) < penalised_criterion(r, candidates_in(found))
     return best if is_better else None
-
-
-def _candidates(found: Sequence[SelectedEffect]) -> list[Candidate]:
-    return [f.candidate for f in found]
 
 
 def _are_possible(r: Responses, accepted: Sequence[Candidate]) -> bool:

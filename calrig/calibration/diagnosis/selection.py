@@ -250,11 +250,6 @@ class Findings:
     noises: Noises = field(default_factory=dict)
     beside_curve: bool = False
 
-    @property
-    def model_key(self) -> frozenset[object]:
-        """What tells the model from others of the same poses."""
-        return frozenset(place_of(f.candidate) for f in self.found)
-
 
 def search(
     r: Responses,
@@ -350,7 +345,8 @@ def _beside_free_curve(
     again = _search(r.rows(kept), curves, judge, between.found, rivals, noises)
     kept, curves = kept[again.kept], [c.rows(again.kept) for c in curves]
     bent = _with_curves(again, curves, len(between.found), rivals)
-    if bent.model_key != again.model_key:  # beside a curve more may be seen
+    bent_model, model = ({place_of(f.candidate) for f in those.found} for those in (bent, again))
+    if bent_model != model:  # beside a curve more may be seen
         known, begun = bent.found[: len(between.found)], bent.found[len(between.found) :]
         more = _search(bent.responses, curves, judge, known, rivals, noises, begun)
         again, kept = replace(more, noises={**more.noises, **again.noises}), kept[more.kept]
