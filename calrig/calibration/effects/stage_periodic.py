@@ -190,8 +190,11 @@ def _family(r: Responses, period_deg: float, first: int) -> Iterator[Parameters]
 
 
 def _harmonics(r: Responses, shape: Shape) -> Iterator[Parameters]:
-    """Yield the further harmonics of a period that was found, an order of the turn or not."""
-    if shape.scanned:
+    """Yield the further harmonics of a period that was found.
+
+    Those of an order are orders, of which even poses cannot tell one from its alias.
+    """
+    if shape.scanned and not (shape.series and step_deg(r)):
         yield from _family(r, shape.at["period_deg"], 2)
 
 
