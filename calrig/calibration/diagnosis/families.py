@@ -56,7 +56,7 @@ def with_free_orphans(r: Responses, found: list[SelectedEffect]) -> list[Selecte
         found: the effects of a model.
     """
     for k, f in enumerate(found):
-        one, others = f.candidate, [other.candidate for other in found if other is not f]
+        one, others = f.candidate, candidates_in(other for other in found if other is not f)
         has_first = one.shape.at.get(OF) in (None, *r.known_periods_deg)
         if not has_first and not any(is_term_of(one, other) for other in others):
             place = one.effect.place
@@ -91,11 +91,8 @@ def _terms(
     """
     alike = {f: term_alike(r, first.candidate, f.candidate) for f in found}
     may_be = {f: term for f, term in alike.items() if term is not None}
-
-    def has_others(f: SelectedEffect) -> bool:
-        return any(is_term_of(g.candidate, f.candidate) and g not in may_be for g in found)
-
-    return {f: term for f, term in may_be.items() if not has_others(f)}
+    left = [f.candidate for f in found if f not in may_be]
+    return {f: t for f, t in may_be.items() if not any(is_term_of(c, f.candidate) for c in left)}
 
 
 def _refined(
