@@ -79,10 +79,8 @@ def _without(
         kept, left = min(
             ((rest, other), (fewer, one)), key=lambda pair: penalised_criterion(r, candidates_in(pair[0]))
         )
-        if (
-            penalised_criterion(r, candidates_in(kept))
-            > penalised_criterion(r, candidates_in(found)) + MARGIN
-        ):
+        after, before = (penalised_criterion(r, candidates_in(those)) for those in (kept, found))
+        if after > before + MARGIN:
             told = f"these poses determine its size only without {words_of(r, other.candidate)} and need both"
             return [one.against(other.candidate, told) if f is one else f for f in found]
         dropped = one if kept is rest else other
