@@ -64,7 +64,7 @@ def test_what_is_advised_keeps_to_the_limits_of_the_stage():
     assert "from -60° to" in here.says
     assert "from -90° to 90° of the dial" in wider.says
     assert "from -180° to 180° of the dial" in turn.says
-    assert here.then_deg > wider.then_deg
+    assert here.elevation_std_deg_then > wider.elevation_std_deg_then
     assert advised(solved(BOUNDS["0/120/240, ±60°, cubic"].bench(1), 1, linear=False)) is None
 
 
@@ -78,7 +78,7 @@ def test_who_follows_the_advice_gets_what_it_says(name):
         plan = Design(tuple(advice.mounts_deg), UNTOLD[name].design.arc_deg)
         followed = replace(bench, visits=plan.visits(np.random.default_rng(seed)))
         reached.append(np.mean(error_deg(followed, solved(followed, seed, linear=False)) ** 2))
-        said.append(advice.then_deg**2)
+        said.append(advice.elevation_std_deg_then**2)
     assert np.mean(reached) < 1.5 * np.mean(said), "as much as twenty seeds of a mean of squares scatter by"
 
 
