@@ -7,14 +7,14 @@ import pickle
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from calrig.analysis.stored_runs import known_unit
-from calrig.calibration.effects import EFFECTS
+from calrig.calibration.effects import EFFECTS, title_inside
 from calrig.calibration.histories import (
     FALSE_DISCOVERY_RATE,
     UNIT_CHART,
@@ -230,12 +230,12 @@ def difference_in_words(differences: Sequence[Differences], k: int, verdict: str
     return _sentence("; ".join(moved))
 
 
-def traced_in_words(effects: Sequence[dict[str, Any]]) -> str:
+def traced_in_words(effects: Sequence[dict[str, Any]], *, reference_is_good: bool) -> str:
     """Such as "z offset moved by 6.0 ± 0.1 mg."; without a capital where it begins with an axis."""
-    said = []
+    title, said = partial(title_inside, reference_is_good=reference_is_good), []
     for effect in effects:
-        moved = " and ".join(_moved(effect)) or f"{_title(effect['name'])} changed"
-        others = " or ".join(_title(name).lower() for name in effect["confusable_with"])
+        moved = " and ".join(_moved(effect)) or f"{title(effect['name'])} changed"
+        others = " or ".join(map(title, effect["confusable_with"]))
         doubt = "" if effect["verdict"] == "named" else f" (or: {others or 'something else'})"
         said.append(f"{moved}{doubt}")
     return _sentence("; ".join(said))
@@ -255,10 +255,6 @@ def _moved(effect: dict[str, Any]) -> Iterator[str]:
         if place == 0 or abs(value) > STANDS_OUT * std:
             title = re.sub(r"^Offset of (\w+)$", r"\1 offset", parameter.title)
             yield f"{title} moved by {plus_minus(value, std, parameter.unit or '')}"
-
-
-def _title(name: str) -> str:
-    return EFFECTS[name].title if name in EFFECTS else name
 
 
 def _sentence(words: str) -> str:
@@ -299,9 +295,7 @@ def unit_changes(store: Store, serial: str) -> list[Document]:
     for k in [k for k, first in enumerate(pairs) if len(places) and places[0] <= first <= places[-1]]:
         change = change_of(found, k)
         if change["verdict"] == "changed":
-            change["effects"] = _traced(store, change["from"], change["to"])
-            if change["effects"]:
-                change["says"] = traced_in_words(change["effects"])
+            change |= _traced(store, change["from"], change["to"])
         change["gyro"] = gyro_difference(gyros.get(change["from"]), gyros.get(change["to"]))
         to = int(found.changes.figures[0].second[k] - places[0])
         change["signal"] = any(bool(one[to]) for one in signals) if signals else None
@@ -402,14 +396,15 @@ def _known(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _traced(store: Store, before: str, after: str) -> list[Document] | None:
-    """Effects that the stored diagnosis of two runs says have changed between them; None without one."""
+def _traced(store: Store, before: str, after: str) -> Document:
+    """Effects that a stored diagnosis says have changed between two runs; in words, too, if any has."""
     run = store.runs.get(after)
     diagnosis = None if run is None else run.diagnosis
     if diagnosis is None or before not in diagnosis["runs"]:
-        return None
-    return [
-        effect
-        for effect in diagnosis["effects"]
-        if effect.get("changed") is not None and effect["changed"] == {"from": before, "to": after}
-    ]
+        return {"effects": None}
+    between = {"from": before, "to": after}
+    effects = [effect for effect in diagnosis["effects"] if effect.get("changed") == between]
+    is_good = diagnosis.get("reference") == "good"
+    return {"effects": effects} | (
+        {"says": traced_in_words(effects, reference_is_good=is_good)} if effects else {}
+    )

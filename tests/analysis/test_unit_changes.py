@@ -92,6 +92,23 @@ def test_what_the_stored_diagnosis_of_both_runs_found_is_said(store: Store) -> N
     assert unit_changes(store, "HIT")[0]["effects"] is None
 
 
+def test_effects_that_changed_are_called_by_whose_error_they_are(store: Store) -> None:
+    several(store)
+    first, second = ran(store, "HIT", 10, 0.8), ran(store, "HIT", 20, 1.8)
+    effect = {
+        "name": "stage_periodic",
+        "verdict": "ambiguous",
+        "confusable_with": ["stage_eccentricity"],
+        "changed": {"from": first.id, "to": second.id},
+        "parameters": {},
+    }
+    for reference, whose in (("stage", "stage"), ("good", "sensor")):
+        found = {"runs": [first.id, second.id], "reference": reference, "effects": [effect]}
+        store.runs.update(second.id, diagnosis=found)
+        (change,) = unit_changes(store, "HIT")
+        assert change["says"] == f"Periodic error of the {whose} changed (or: eccentricity of the {whose})."
+
+
 def test_an_offset_that_moved_between_two_runs_is_named_with_its_size(store: Store) -> None:
     """Two runs of the simulator's physics, before and after 6 mg came onto z, among units that repeat."""
     several(store)
