@@ -2,7 +2,7 @@
 
 import { get, post } from "./api.js";
 import { askConfirmation } from "./ask.js";
-import { bullets, button, dataTable, errorLine, field, fill, h, onSubmit, select, tableRow } from "./dom.js";
+import { bullets, button, dataTable, errorLine, field, fill, h, keepingFocus, onSubmit, select, tableRow } from "./dom.js";
 import { moment } from "./format.js";
 
 const ROLES = {
@@ -39,7 +39,7 @@ export async function usersView({ root, signal }) {
 
   async function show() {
     const users = await get("/api/users", signal);
-    fill(body, users.map((user) => row(user, act)));
+    keepingFocus(body, () => fill(body, users.map((user) => row(user, act))));
   }
 
   /** Changes users, then shows them, and a new token if there is one. */
@@ -72,7 +72,7 @@ function explained() {
 function row(user, act) {
   const error = errorLine(`error-${user.name}`);
   const path = `/${encodeURIComponent(user.name)}`;
-  const role = select({ "aria-label": `Role of ${user.name}` }, Object.keys(ROLES), user.role);
+  const role = select({ id: `role-of-${user.name}`, "aria-label": `Role of ${user.name}` }, Object.keys(ROLES), user.role);
   role.addEventListener("change", async () => {
     try {
       await act(`${path}/role`, { role: role.value });

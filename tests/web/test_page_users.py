@@ -75,8 +75,11 @@ def test_a_role_is_changed_and_a_user_disabled(page, client, go, expect, forgive
     log_in(page, TOKEN)
     row = page.locator("#users-table tbody tr").filter(has_text="ben")
     expect(row).to_contain_text("by a trusted proxy")
-    page.get_by_label("Role of ben").select_option("operator")
+    page.get_by_label("Role of ben").focus()
+    with page.expect_response("**/api/users"):  # the list is drawn anew after each change
+        page.get_by_label("Role of ben").select_option("operator")
     expect(page.get_by_label("Role of ben")).to_have_value("operator")
+    expect(page.get_by_label("Role of ben")).to_be_focused()
     page.get_by_role("button", name="Disable ben").click()
     page.get_by_test_id("confirm").click()
     expect(row).to_contain_text("disabled")
