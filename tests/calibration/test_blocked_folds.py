@@ -85,3 +85,33 @@ def test_poses_at_one_elevation_are_blocked_in_time_alone() -> None:
     there = np.full(N_POSES, 20.0)
     r = responses_of([posed(target_deg=there, reading_deg=there + 1e-3 * TIMES_S, time_s=TIMES_S)])
     assert [b.along for b in blocked(r, [one(r, "time_drift")])] == ["time"]
+
+
+ORDERS = range(2, 12)
+
+
+def one_turn(seed: int, amplitudes_deg: dict[float, float]) -> tuple[Responses, list[Candidate]]:
+    """64 poses of one turn with waves of some periods, and those waves."""
+    rng = np.random.default_rng(seed)
+    theta_deg = 5.625 * np.arange(64.0) + rng.uniform(-1.0, 1.0, 64)
+    readings = theta_deg + rng.normal(0.0, NOISE_DEG, 64)
+    for period_deg, amplitude_deg in amplitudes_deg.items():
+        readings += amplitude_deg * np.sin(2.0 * np.pi * theta_deg / period_deg + rng.uniform(0.0, 6.3))
+    r = responses_of([posed(target_deg=theta_deg, reading_deg=readings)])
+    periodic = [c for c in candidates_of(r) if c.name == "stage_periodic" and c.beside is None]
+    nearest = {p: min(periodic, key=lambda c: abs(c.shape.at["period_deg"] - p)) for p in amplitudes_deg}
+    return r, [nearest[p] for p in amplitudes_deg]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_many_orders_do_not_fly_off_in_the_gap_of_a_block(seed: int) -> None:
+    r, waves = one_turn(seed, {360.0 / k: 0.3 / k**2 for k in ORDERS})
+    (along_angle,) = blocked(r, waves)
+    assert rms(along_angle.final_deg) < 2.0 * rms(along_angle.base_deg)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_many_waves_within_a_block_are_foreseen_as_they_are(seed: int) -> None:
+    r, waves = one_turn(seed, {360.0 / k: 0.05 for k in (6, 11, 16, 21, 26)})
+    (along_angle,) = blocked(r, waves)
+    assert rms(along_angle.final_deg) < 3.0 * NOISE_DEG < 0.05 < rms(along_angle.base_deg)

@@ -290,7 +290,7 @@ UNSTABLE = 1e-3
 ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
 WAVY, FORESEEN = 9, 0.03
-"""Columns of a curve that has parts within one block; of the size of a part, what the others must show."""
+"""Columns of curves that have parts within one block; of the size of a part, what the others must show."""
 KEPT = 16
 """Models whose errors may be asked for again: with all effects, and without each."""
 Intp = npt.NDArray[np.intp]
@@ -379,7 +379,7 @@ def _errors(r: Responses, accepted: tuple[Candidate, ...], along: str) -> FloatA
     errors, fold = np.zeros(len(r)), folds_of(r) if along == BETWEEN else _folds(r)[along]
     for k in range(BLOCKS):
         train, test = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
-        seen, shown = r.rows(train), _shown(r, accepted, train)
+        seen, shown = r.rows(train), _foreseen(r, _shown(r, accepted, train), train)
         if not accepted:
             line = _line(seen)
             errors[test] = errors_deg(r, (), line, test, slopes_of_errors(r, (), line))
@@ -397,24 +397,52 @@ def _shown(r: Responses, accepted: Sequence[Candidate], train: Intp) -> list[Can
         own = _flat(candidate.columns[train])
         left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
         if np.linalg.norm(left) > ESTIMABLE * np.linalg.norm(own):
-            wavy = candidate.columns.shape[2] >= WAVY
-            shown.append(_as_far_as_shown(candidate, train, before) if wavy else candidate)
+            shown.append(candidate)
     return shown
 
 
-def _as_far_as_shown(curve: Candidate, train: Intp, before: FloatArray) -> Candidate:
-    """Return a wavy curve less what it does where no pose is left: the spline would fly off there."""
-    whole, _ = np.linalg.qr(_flat(curve.columns))
-    directions = whole.reshape(*curve.columns.shape)
+def _foreseen(r: Responses, shown: Sequence[Candidate], train: Intp) -> list[Candidate]:
+    """Return the effects, wavy functions of one thing less what they do where no pose is left.
+
+    A spline would fly off there, and so would many waves together: in a gap of a quarter of a turn, orders 1
+    to 11 whose amplitudes are right to 0.003° make 74°.
+    """
+    wavy: dict[object, list[Candidate]] = {}
+    for c in shown:
+        if (
+            c.beside is None
+            and c.changed is None
+            and c.effect.on_vector_g is None
+            and not c.effect.not_linear
+        ):
+            wavy.setdefault((c.covariate, c.shape.at_elevation is None), []).append(c)
+    foreseen, line = list(shown), _flat(model_columns(r, ())[train])
+    for those in wavy.values():
+        if sum(c.columns.shape[2] for c in those) >= WAVY:
+            foreseen = [*(c for c in foreseen if c not in those), _as_far_as_shown(those, train, line)]
+    return foreseen
+
+
+def _as_far_as_shown(those: Sequence[Candidate], train: Intp, line: FloatArray) -> Candidate:
+    """Return several curves as one of what some poses show of them beside bias and scale."""
+    columns = np.concatenate([c.columns for c in those], axis=2)
+    whole, _ = np.linalg.qr(_flat(columns))
+    directions = whole.reshape(columns.shape)
     own = _flat(directions[train])
-    left = own - before @ np.linalg.lstsq(before, own, rcond=None)[0]
+    left = own - line @ np.linalg.lstsq(line, own, rcond=None)[0]
     _, seen, turn = np.linalg.svd(left, full_matrices=False)
     kept = turn[seen > FORESEEN].T
-    shape, at_elevation = curve.shape, curve.shape.at_elevation
-    if at_elevation is not None:
-        of_own = np.linalg.lstsq(_flat(curve.columns), whole @ kept, rcond=None)[0]
-        shape = replace(shape, at_elevation=lambda theta_deg: at_elevation(theta_deg) @ of_own)
-    return replace(curve, shape=shape, columns=directions @ kept)
+    shape = those[0].shape
+    if shape.at_elevation is not None:
+        of_own = np.linalg.lstsq(_flat(columns), whole @ kept, rcond=None)[0]
+        shares = [c.shape.at_elevation for c in those if c.shape.at_elevation is not None]
+
+        def at_elevation(theta_deg: FloatArray) -> FloatArray:
+            each = [of(theta_deg).reshape(len(theta_deg), -1) for of in shares]
+            return np.asarray(np.concatenate(each, axis=1) @ of_own, dtype=np.float64)
+
+        shape = replace(shape, at_elevation=at_elevation)
+    return replace(those[0], shape=shape, columns=directions @ kept)
 
 
 def _flat(columns: FloatArray) -> FloatArray:
