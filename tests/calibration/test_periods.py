@@ -404,3 +404,23 @@ def test_orders_of_a_closed_turn_are_not_one_curve_beside_other_orders(seed: int
     assert all(f.candidate.named for f in found)
     named = sorted(360.0 / f.candidate.shape.at.get("period_deg", 360.0) for f in found)
     assert named == pytest.approx(list(orders), rel=2e-3)
+
+
+@pytest.mark.parametrize("shift_deg", [0.0, 0.264])
+def test_waves_that_are_an_offset_of_each_stroke_are_no_periods(shift_deg):
+    """To and fro at one speed, read at even times: the steps of both strokes are 1.44°, their places differ."""
+    there = np.arange(0.1, 360.0, 1.44)
+    targets_deg = np.concatenate([there, there[::-1] + shift_deg])
+    time_s = 0.04 * np.arange(len(targets_deg))
+    r = responses_of([posed(target_deg=targets_deg, reading_deg=targets_deg, time_s=time_s)])
+    periodic = EFFECTS["stage_periodic"]
+
+    def carried(period_deg):
+        (shape,) = periodic.forms(r, {"period_deg": period_deg})
+        return periodic.carried(r, shape)
+
+    assert not any(carried(1.44 / whole) for whole in (1, 2, 3, 4, 12))
+    assert not any(carried(period_deg) for period_deg in (0.3598943, 0.480302, 0.721008, 0.1199648))
+    assert all(carried(period_deg) for period_deg in (3.6, 7.2, 22.5))
+    periods = [c.shape.at["period_deg"] for c in candidates_of(r) if c.name == periodic.name and not c.beside]
+    assert all(abs(1.0 / one - 1.0 / 1.44) >= 1.0 / r.arc_deg for one in periods)

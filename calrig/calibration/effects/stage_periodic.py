@@ -144,6 +144,8 @@ MOST_HARMONICS = 8
 """Of a worm or a motor: more of them are what a curve is."""
 LEAST_SHARE = 0.5
 """Of a period: what poses must stand in."""
+AT_REST, ALIKE, MOST_STEPS = 0.01, 0.01, 0.8
+"""Of the largest step from row to row, what is none; of a step, by which others are alike; their share."""
 APART = 0.75
 """Of a resolution: two waves closer than that are one, and cancel each other where both are fitted."""
 ALIKE_POWER, MOST_ALIKE = 0.4, 12
@@ -170,7 +172,8 @@ def _scan(r: Responses) -> Iterator[Parameters]:
     resolved = _left_beside(r.base[:, 0, :], r.theta_deg, periods) >= LEAST_LEFT
     for k in np.flatnonzero(resolved):
         order = {"order": float(names[k])} if k < len(orders) else {}
-        yield {"period_deg": float(periods[k]), **order}
+        if order or not _is_curve_within_strokes(r, 1.0 / float(periods[k])):
+            yield {"period_deg": float(periods[k]), **order}
 
 
 def _known_orders(r: Responses) -> tuple[int, ...]:
@@ -223,11 +226,35 @@ def _carried(r: Responses, shape: Shape) -> bool:
         return False
     step = step_deg(r)
     if step is None:
-        return True
+        return not _is_curve_within_strokes(r, frequency)
     if 2.0 * step * frequency > 1.0 and _is_by_readings(r):
         return False
     halves = max(1.0, round(2.0 * step * frequency)) / (2.0 * step)
     return abs(frequency - halves) * (1.0 + ROUNDING) >= 1.0 / arc
+
+
+def _is_curve_within_strokes(r: Responses, frequency: float) -> bool:
+    """Return whether a wave is no wave within a stroke, since a step from row to row is whole waves of it.
+
+    Rows read on the move at one speed are even within a stroke, if not all together: such a wave is a curve
+    on the way there and another on the way back, as what comes with direction is.
+    """
+    step = _step_of_strokes(r)
+    whole = round(frequency * step)
+    return whole > 0 and abs(frequency - whole / step) * (1.0 + ROUNDING) < 1.0 / r.arc_deg
+
+
+@lru_cache(maxsize=8)
+def _step_of_strokes(r: Responses) -> float:
+    """Return the step that most steps from row to row are, or a multiple of; 0 without one."""
+    size = np.abs(np.diff(r.theta_deg))
+    moving = size[size > AT_REST * size.max()]
+    if not len(moving):
+        return 0.0
+    usual = float(np.median(moving))
+    multiple = np.rint(moving / usual)  # of a fold, which lacks every fourth row
+    is_even = (multiple > 0.0) & (np.abs(moving / usual - multiple) <= ALIKE)
+    return usual if is_even.mean() >= MOST_STEPS else 0.0
 
 
 def _left_beside(base: FloatArray, theta_deg: FloatArray, periods: FloatArray) -> FloatArray:
