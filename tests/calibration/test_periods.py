@@ -408,7 +408,7 @@ def test_orders_of_a_closed_turn_are_not_one_curve_beside_other_orders(seed: int
 
 @pytest.mark.parametrize("shift_deg", [0.0, 0.264])
 def test_waves_that_are_an_offset_of_each_stroke_are_no_periods(shift_deg):
-    """To and fro at one speed, read at even times: the steps of both strokes are 1.44°, their places differ."""
+    """To and fro at one speed, read at even times: both strokes have steps of 1.44°, at other places."""
     there = np.arange(0.1, 360.0, 1.44)
     targets_deg = np.concatenate([there, there[::-1] + shift_deg])
     time_s = 0.04 * np.arange(len(targets_deg))
@@ -424,3 +424,26 @@ def test_waves_that_are_an_offset_of_each_stroke_are_no_periods(shift_deg):
     assert all(carried(period_deg) for period_deg in (3.6, 7.2, 22.5))
     periods = [c.shape.at["period_deg"] for c in candidates_of(r) if c.name == periodic.name and not c.beside]
     assert all(abs(1.0 / one - 1.0 / 1.44) >= 1.0 / r.arc_deg for one in periods)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.37, 0.55])
+def test_an_iron_beside_a_compass_is_an_eccentricity_with_its_orders(share):
+    """Its field, a share of the Earth's, turns the needle by atan2; order k is shareᵏ/k rad (Fourier)."""
+    rng = np.random.default_rng(3)
+    heading_deg = np.linspace(0.0, 570.0, 300) + rng.uniform(-0.5, 0.5, 300)
+    turned = np.exp(1j * np.radians(heading_deg)) + share
+    reading_deg = np.degrees(np.unwrap(np.angle(turned))) + rng.normal(0.0, 0.3, 300)
+    effects = effects_in(posed(target_deg=heading_deg, reading_deg=reading_deg))
+    found = {
+        round(360.0 / e["parameters"].get("period_deg", {"value": 360.0})["value"]): e["parameters"][
+            "amplitude_deg"
+        ]
+        for e in effects
+    }
+    assert [e["name"] for e in effects if "period_deg" not in e["parameters"]] == ["stage_eccentricity"]
+    for order in (1, 2, 3):
+        expected_deg = np.degrees(share**order / order)
+        if expected_deg > 0.5:
+            assert found[order]["value"] == pytest.approx(
+                expected_deg, abs=max(0.1, 4.0 * found[order]["std"])
+            )

@@ -21,7 +21,6 @@ from calrig.calibration.regression.terms import (
     THE_TURN,
     alike_a_drift,
     amplitude_and_phase,
-    amplitude_within,
     c_wave,
     goes_round,
     turned,
@@ -29,9 +28,6 @@ from calrig.calibration.regression.terms import (
     wave_deg,
 )
 from calrig.estimation.angles import FloatArray
-
-LARGEST_AMPLITUDE_DEG = 30.0
-"""The centre off the axis by half of the radius (amplitude = eccentricity/radius, in radians)."""
 
 
 def _forms(r: Responses, _at: Parameters) -> Iterator[Shape]:
@@ -64,7 +60,8 @@ EFFECT = Effect(
     seen_by_gravity="the gyro measures it and |accelerometer| does not",
     remedy="re-centre the scale or the mount on the axis, or correct by the rig error map",
     reported=amplitude_and_phase,
-    possible=amplitude_within(LARGEST_AMPLITUDE_DEG),
+    # amplitude in radians = eccentricity/radius: with the axis outside the scale, that would turn back
+    possible=lambda _shape, beta: bool(np.hypot(*beta[:2]) < np.degrees(1.0)),
     as_sensor=Wording(
         "Eccentricity of the sensor", "correct by the unit's calibration; centre the magnet or the disc"
     ),

@@ -230,11 +230,6 @@ def within(**most: float) -> Callable[[Shape, FloatArray], bool]:
     return possible
 
 
-def amplitude_within(most_deg: float) -> Callable[[Shape, FloatArray], bool]:
-    """Return whether a wave of b₀·sin + b₁·cos has at most this amplitude."""
-    return lambda _shape, beta: float(np.hypot(*beta[:2])) <= most_deg
-
-
 def c_literal(value: float) -> str:
     """Return a C `float` constant, in brackets where it is negative.
 
