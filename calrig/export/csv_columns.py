@@ -201,6 +201,9 @@ def clock_name(text: str, known: Collection[str]) -> bool:
     return "time_s" in known and normalised(bare) in _CLOCKS
 
 
+NO_NAMES = "the first line holds numbers, and the column names must come before it"
+
+
 def refuse_bad_names(columns: Sequence[Column], line: int) -> None:
     """Refuse names that are not printable, and columns that would be one.
 
@@ -217,7 +220,9 @@ def refuse_bad_names(columns: Sequence[Column], line: int) -> None:
         if (first := seen.get(column.name)) is None:
             seen[column.name] = column.text
         elif first == column.text:
-            raise CsvError("the header has this name twice", line=line, column=column.text)
+            is_data = are_data([column.text for column in columns])
+            what = NO_NAMES if is_data else "the header has this name twice"
+            raise CsvError(what, line=line, column=column.text)
         else:
             what = f"is {column.name}, and so is column {shortened(first)}: keep one of them"
             raise CsvError(what, line=line, column=column.text)
@@ -242,8 +247,7 @@ def missing_columns(
     if found:
         texts, last = [column.text for column in columns], found[-1]
         is_data = are_data(texts) and not any(column.is_known for column in columns)
-        rest = "the first line holds numbers, and the column names must come before it"
-        end = f": {rest}" if is_data else f"; {there_are(texts)}"
+        end = f": {NO_NAMES}" if is_data else f"; {there_are(texts)}"
         if below is not None:
             end = f"; {there_are(texts)}; or the names are in line {below}: leave out the lines before it"
         found[-1] = CsvError(f"{last.what}{end}", line=line, column=last.column)

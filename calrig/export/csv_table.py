@@ -385,12 +385,17 @@ def _rows_below(data: bytes, row: _Row) -> Iterator[_Row]:
 
 
 def _names_below(data: bytes, header: _Row, dialect: Dialect) -> int | None:
-    """The first line with the most cells, if the header has fewer, and they are no data."""
+    """The first of the lines right above the first data that have as many cells, if the header has fewer."""
     rows = [header, *_rows_below(data, header)]
-    cells = [row.text.decode(errors="replace").split(dialect.separator) for row in rows]
-    widest = max(range(len(rows)), key=lambda k: len(cells[k]))
-    has_more = len(cells[widest]) > len(cells[0])
-    return rows[widest].line if has_more and not are_data(cells[widest]) else None
+    cells = [
+        row.text.decode(errors="replace").rstrip(dialect.separator).split(dialect.separator) for row in rows
+    ]
+    k = next((k for k, own in enumerate(cells) if len(own) > 1 and are_data(own)), 0)
+    while k > 1 and len(cells[k - 1]) == len(cells[k]):
+        if rows[k - 1].line < rows[k].line - 1 and not are_data(cells[k]):
+            break  # lines of another kind, above a blank one
+        k -= 1
+    return rows[k].line if len(cells[k]) > len(cells[0]) and not are_data(cells[k]) else None
 
 
 _JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")
