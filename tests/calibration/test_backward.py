@@ -7,7 +7,7 @@ import pytest
 from posed import posed
 
 from calrig.calibration.diagnosis.candidates import Candidate, candidate_of, candidates_of
-from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
+from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect, named
 from calrig.calibration.diagnosis.reselection import (
     admitted,
     eliminated,
@@ -15,6 +15,8 @@ from calrig.calibration.diagnosis.reselection import (
     penalised_criterion,
     reselected,
 )
+from calrig.calibration.diagnosis.screen import Screen
+from calrig.calibration.diagnosis.sensor_model import fitted_model
 from calrig.calibration.effects import effect_of
 from calrig.calibration.regression.responses import Responses, responses_of
 
@@ -132,6 +134,19 @@ def test_of_a_series_that_replaces_an_effect_only_the_terms_enter_that_are_neede
     whole = penalised_criterion(r, found)
     assert len(terms) == len(sizes_deg)
     assert all(penalised_criterion(r, [c for c in found if c is not t]) > whole + MARGIN for t in terms)
+
+
+def test_a_name_leads_before_others_not_before_itself_with_more() -> None:
+    r = turn_of(0.002 * LASTING_S)
+    more = next(c for c in candidates_of(r) if c.label == "time_drift + mount_slip")
+    offered = [one(r, "time_drift"), one(r, "backlash"), more]
+    model = fitted_model(r, ())
+    ratios = Screen(r, model.columns, offered, model.fitted.noise).once(model.fitted.residuals)
+    found = named(r, (), offered, ratios, 0.001)
+    behind = dict(found.considered)
+    assert (found.candidate.label, found.verdict) == ("time_drift", "named")
+    assert found.lead == pytest.approx(behind["backlash"], abs=0.01)
+    assert behind[more.label] < 0.5 * found.lead
 
 
 def test_an_order_of_the_turn_does_not_give_its_place_to_a_drift() -> None:

@@ -165,7 +165,8 @@ def named(
         (claimed, *others), elsewhere = _alike(r, accepted, claimed)
         rivals = (*others, *rivals)
     own = min(criterion for criterion, c in ranked if c.label == claimed.label)
-    rest = [criterion for criterion, c in ranked if c.kind != claimed.kind and c.named]
+    kinds = {m.kind for m in claimed.members}
+    rest = [one for one, c in ranked if c.named and not kinds.issubset(m.kind for m in c.members)]
     lead = min(rest) - own if rest and np.isfinite(own) else np.inf
     considered: dict[str, float] = {}
     for criterion, c in ranked:

@@ -315,17 +315,16 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
     if candidate.shape.says:
         said.append(candidate.shape.says)
     said += _same_elsewhere(found, candidate)
-    if candidate.named and math.isfinite(found.lead):
-        if found.rivals:
-            names = ", ".join(dict.fromkeys(words_of(r, rival) for rival in found.rivals))
-            alone = found.candidate.effect.told_apart(has_accelerometer=ANGLE in r.channels)
-            apart = ONE_CURVE if found.is_one_curve(r) else alone
-            said.append(f"indistinguishable from {names} by these poses: {apart}")
-        else:
-            said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
-            is_of_stage = candidate.effect.origin == "stage" and not candidate.is_of_sensor(r)
-            if not witnesses and is_of_stage and candidate.covariate == "target_deg":
-                said.append("no witness was read: an error of the unit itself of this shape looks the same")
+    if candidate.named and found.rivals:
+        names = ", ".join(dict.fromkeys(words_of(r, rival) for rival in found.rivals))
+        alone = found.candidate.effect.told_apart(has_accelerometer=ANGLE in r.channels)
+        apart = ONE_CURVE if found.is_one_curve(r) else alone
+        said.append(f"indistinguishable from {names} by these poses: {apart}")
+    elif candidate.named and math.isfinite(found.lead):
+        said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")
+        is_of_stage = candidate.effect.origin == "stage" and not candidate.is_of_sensor(r)
+        if not witnesses and is_of_stage and candidate.covariate == "target_deg":
+            said.append("no witness was read: an error of the unit itself of this shape looks the same")
     return [*said, *found.doubts, *candidate.effect.evidence(r, candidate.shape)]
 
 
