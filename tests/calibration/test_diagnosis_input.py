@@ -403,3 +403,17 @@ def test_rows_that_are_repeated_leave_no_freedom_for_a_curve():
         Pose(float(x), float(x + y), covariates={"load": float(y)}) for x, y in zip(there, bent, strict=True)
     ]
     assert diagnose([table], bootstraps=199).findings.found == ()
+
+
+def test_a_sensor_that_stops_following_is_off_by_what_it_is_off_a_line() -> None:
+    """A potentiometer at its end: the slope of the good part, times the range, is no error."""
+    angle_deg = np.arange(30.0, 151.0, 5.0)
+    reading_deg = np.maximum(angle_deg, 45.0) + np.random.default_rng(5).normal(0.0, 0.3, len(angle_deg))
+    diagnosed = diagnose(
+        [posed(target_deg=angle_deg, reading_deg=reading_deg)], bootstraps=199, cross_fit=False
+    )
+    kink = next(
+        e for e in document(diagnosed, ["a run"])["effects"] if "shape: kink" in " ".join(e["evidence"])
+    )
+    off_deg = reading_deg - np.polyval(np.polyfit(angle_deg, reading_deg, 1), angle_deg)
+    assert kink["parameters"]["size_deg"]["value"] == pytest.approx(np.ptp(off_deg), rel=0.25)

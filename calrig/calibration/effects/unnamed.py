@@ -7,7 +7,7 @@ in the model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -323,7 +323,10 @@ def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = Fals
         return
     for place in np.unique(np.quantile(z, PLACES)):
         at = {"at": float(place)}
-        yield _of_function(partial(_kink, place=place, span=np.ptp(z)), z, name, "kink", seen_by, at)
+        kink = partial(_kink, place=place, span=np.ptp(z))
+        if name == ELEVATION.name:  # a straight line is bias and scale
+            kink = partial(kink, line=np.polyfit(z, kink(z), 1))
+        yield _of_function(kink, z, name, "kink", seen_by, at)
         yield _of_function(partial(_step, place=place), z, name, "step", seen_by, at)
 
 
@@ -339,8 +342,8 @@ def _of_function(
     return replace(shape, at_elevation=f) if name == "target_deg" else shape
 
 
-def _kink(z: FloatArray, place: float, span: float) -> FloatArray:
-    return np.asarray(np.maximum(z - place, 0.0) / span, dtype=np.float64)
+def _kink(z: FloatArray, place: float, span: float, line: Sequence[float] = (0.0, 0.0)) -> FloatArray:
+    return np.asarray(np.maximum(z - place, 0.0) / span - np.polyval(line, z), dtype=np.float64)
 
 
 def _step(z: FloatArray, place: float) -> FloatArray:
