@@ -7,7 +7,7 @@ in the model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -323,10 +323,7 @@ def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = Fals
         return
     for place in np.unique(np.quantile(z, PLACES)):
         at = {"at": float(place)}
-        kink = partial(_kink, place=place, span=np.ptp(z))
-        if name == ELEVATION.name:  # a straight line is bias and scale
-            kink = partial(kink, line=np.polyfit(z, kink(z), 1))
-        yield _of_function(kink, z, name, "kink", seen_by, at)
+        yield _of_function(partial(_kink, place=place, span=np.ptp(z)), z, name, "kink", seen_by, at)
         yield _of_function(partial(_step, place=place), z, name, "step", seen_by, at)
 
 
@@ -342,8 +339,8 @@ def _of_function(
     return replace(shape, at_elevation=f) if name == "target_deg" else shape
 
 
-def _kink(z: FloatArray, place: float, span: float, line: Sequence[float] = (0.0, 0.0)) -> FloatArray:
-    return np.asarray(np.maximum(z - place, 0.0) / span - np.polyval(line, z), dtype=np.float64)
+def _kink(z: FloatArray, place: float, span: float) -> FloatArray:
+    return np.asarray(np.maximum(z - place, 0.0) / span, dtype=np.float64)
 
 
 def _step(z: FloatArray, place: float) -> FloatArray:
@@ -392,6 +389,10 @@ def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documen
     columns, sized = shape.shares[READING], shape
     if shape.covariate == ELEVATION.name and shape.form.startswith("smooth"):
         sized = replace(shape, shares={READING: bent_columns(columns)})  # a straight line is bias and scale
+    elif (
+        shape.covariate == ELEVATION.name and shape.form == "kink"
+    ):  # by how far it is off that from end to end
+        sized = replace(shape, shares={READING: columns * (1.0 - columns.max())})
     found: Documents = {"size_deg": size_deg(sized, beta, covariance), "period": None, "at": None}
     if shape.form == CIRCLE:
         found["at"] = amplitude_and_phase(shape, beta[::-1], covariance[::-1, ::-1])["phase_deg"]
