@@ -32,7 +32,7 @@ from tests.studies.trials.centre import centre
 RUNS, A_UNIT, DRAWN = 1_000_000, 20, 200
 TRIES = 20
 FIRST = datetime(2016, 1, 1, tzinfo=UTC)
-HALF_HOUR = timedelta(minutes=5)
+APART = timedelta(minutes=5)
 
 
 def _results() -> list[dict[str, Any]]:
@@ -60,7 +60,7 @@ def lay(url: str, runs: int) -> None:
 
     def of_runs() -> Iterator[tuple[Any, ...]]:
         for k in range(runs):
-            at = _text(FIRST + k * HALF_HOUR)
+            at = _text(FIRST + k * APART)
             unit, rig = f"AS-{k % units:06}", f"bench-{k % 40}"
             yield (
                 k + 1,

@@ -107,7 +107,7 @@ class Fit:
         """
         free = self.problem.free
         scale = self.problem.widths()[free] / self.noise
-        size = np.linalg.eigvalsh(self.normal.matrix[np.ix_(free, free)] * np.outer(scale, scale))
+        size = np.linalg.eigvalsh(self.normal.matrix.whole()[np.ix_(free, free)] * np.outer(scale, scale))
         return int((size > 1.0 / IDENTIFIED**2).sum()), int(free.sum())
 
 
@@ -156,9 +156,7 @@ def at_parameters(problem: Problem, parameters: FloatArray, noise: float) -> Fit
 
 def _inverse(problem: Problem, normal: Normal, noise: float) -> Inverse:
     """The covariance over the noise's, by the data and what is known before them."""
-    matrix = normal.matrix.copy()
-    matrix[np.diag_indices_from(matrix)] += noise**2 * problem.widths() ** -2.0
-    return problem.inverse(matrix)
+    return problem.inverse(normal.matrix.plus(noise**2 * problem.widths() ** -2.0))
 
 
 def _freedom(problem: Problem, normal: Normal, weights: FloatArray, inverse: Inverse) -> float:
@@ -262,6 +260,6 @@ def _criterion(fit: Fit, rho: float) -> float:
     """−2 log of the restricted likelihood, the noise profiled out; linear about the fit."""
     problem = replace(fit.problem, correlation=rho)
     normal = problem.normal(fit.parameters, fit.weights)
-    inverse = problem.inverse(normal.matrix + np.diag(fit.noise**2 * problem.widths() ** -2.0))
+    inverse = _inverse(problem, normal, fit.noise)
     squares = max(normal.squares - float(normal.gradient @ inverse.solve(normal.gradient)), LEAST_SQUARES)
     return fit.freedom * float(np.log(squares)) + normal.log_variance + inverse.log_determinant

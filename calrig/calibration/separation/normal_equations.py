@@ -7,13 +7,54 @@ whose noise follows on that of the pose before are made independent first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.separation.pose_table import Intp
+from calrig.calibration.separation.pose_table import BoolArray, Intp
 from calrig.estimation.angles import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrow:
+    """A symmetric matrix of p parameters in blocks, with 0 between any two of them.
+
+    Attributes:
+        size: p.
+        blocks: places (k,) of each, ascending; `inside` (k, k) and `across` (k, q), beside the border.
+        border: places (q,) that all of them touch, and `middle` (q, q).
+    """
+
+    size: int
+    blocks: tuple[Intp, ...]
+    inside: tuple[FloatArray, ...]
+    across: tuple[FloatArray, ...]
+    border: Intp
+    middle: FloatArray
+
+    def plus(self, diagonal: FloatArray) -> Arrow:
+        """The same and a diagonal (p,)."""
+        inside = tuple(own + np.diag(diagonal[at]) for at, own in zip(self.blocks, self.inside, strict=True))
+        return replace(self, inside=inside, middle=self.middle + np.diag(diagonal[self.border]))
+
+    def times(self, right: FloatArray) -> FloatArray:
+        """(p,) the matrix times (p,)."""
+        found = np.zeros(self.size)
+        found[self.border] = self.middle @ right[self.border]
+        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
+            found[at] = inside @ right[at] + across @ right[self.border]
+            found[self.border] += across.T @ right[at]
+        return found
+
+    def whole(self) -> FloatArray:
+        """(p, p)."""
+        found = np.zeros((self.size, self.size))
+        found[np.ix_(self.border, self.border)] = self.middle
+        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
+            found[np.ix_(at, at)] = inside
+            found[np.ix_(at, self.border)] = across
+            found[np.ix_(self.border, at)] = across.T
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,13 +63,13 @@ class Normal:
 
     Attributes:
         residuals: (n, c) measured less expected over the shape of the noise, g (a reading: rad, and 0).
-        matrix: (p, p) JᵀWJ; `gradient` (p,) JᵀWr; `squares` rᵀWr. W whitens correlated poses.
+        matrix: JᵀWJ; `gradient` (p,) JᵀWr; `squares` rᵀWr. W whitens correlated poses.
         log_variance: log of the determinant of the noise's correlation.
         derivatives: (n, c, k) of each pose by its unit and mount (`Problem.own`), then by the map.
     """
 
     residuals: FloatArray
-    matrix: FloatArray
+    matrix: Arrow
     gradient: FloatArray
     squares: float
     log_variance: float
@@ -74,13 +115,14 @@ class Inverse:
             found[at] = np.diag(inside) + ((across @ self.middle) * across).sum(axis=1)
         return found
 
-    def times_trace(self, matrix: FloatArray) -> float:
-        """The trace of the inverse times another arrow (p, p)."""
-        found = float((self.middle * matrix[np.ix_(self.border, self.border)]).sum())
-        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
+    def times_trace(self, matrix: Arrow) -> float:
+        """The trace of the inverse times another arrow of the same blocks, whose border may be longer."""
+        border = np.searchsorted(matrix.border, self.border)
+        found = float((self.middle * matrix.middle[np.ix_(border, border)]).sum())
+        for k, (inside, across) in enumerate(zip(self.inside, self.across, strict=True)):
             beside = across @ self.middle
-            found += float(((inside + beside @ across.T) * matrix[np.ix_(at, at)]).sum())
-            found -= 2.0 * float((beside * matrix[np.ix_(at, self.border)]).sum())
+            found += float(((inside + beside @ across.T) * matrix.inside[k]).sum())
+            found -= 2.0 * float((beside * matrix.across[k][:, border]).sum())
         return found
 
     def between(self, rows: FloatArray) -> FloatArray:
@@ -95,30 +137,29 @@ class Inverse:
 
     def at(self, places: Intp) -> FloatArray:
         """(m, m) the inverse at some places (m,)."""
-        return self.between(np.eye(self.size)[places])
+        return self.between((places[:, np.newaxis] == np.arange(self.size)).astype(np.float64))
 
 
-def inverse_of(matrix: FloatArray, blocks: Sequence[Intp], border: Intp) -> Inverse:
+def inverse_of(matrix: Arrow, free: BoolArray) -> Inverse:
     """The inverse of a positive definite arrow; scaled, so that units of measure do not matter.
 
     Args:
-        matrix: (p, p), 0 between any two blocks.
-        blocks: places of each.
-        border: places that all of them touch.
+        matrix: the arrow.
+        free: (q,) what of the border is inverted.
     """
-    middle = matrix[np.ix_(border, border)]
+    border, middle = matrix.border[free], matrix.middle[np.ix_(free, free)]
     edge = np.diag(middle).copy()
     inside, across, logarithm = [], [], 0.0
-    for at in blocks:
-        own, more = _inverted(matrix[np.ix_(at, at)])
-        beside = matrix[np.ix_(at, border)]
+    for block, beyond in zip(matrix.inside, matrix.across, strict=True):
+        own, more = _inverted(block)
+        beside = beyond[:, free]
         part = own @ beside
         middle -= beside.T @ part
         inside.append(own)
         across.append(part)
         logarithm += more
     middle, more = _inverted(middle, edge)
-    return Inverse(len(matrix), tuple(blocks), tuple(inside), tuple(across), border, middle, logarithm + more)
+    return Inverse(matrix.size, matrix.blocks, tuple(inside), tuple(across), border, middle, logarithm + more)
 
 
 def _inverted(matrix: FloatArray, diagonal: FloatArray | None = None) -> tuple[FloatArray, float]:

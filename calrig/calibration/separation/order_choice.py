@@ -156,14 +156,13 @@ def _beside_units(rich: Fit) -> _OfMap:
     """The linear problem about the rich fit, whose solution with all parameters is the fit itself."""
     problem, normal = rich.problem, rich.normal
     centre = np.where(problem.free, problem.start(), 0.0)
-    response = normal.gradient + normal.matrix @ (rich.parameters - centre)
+    response = normal.gradient + normal.matrix.times(rich.parameters - centre)
     prior = rich.noise**2 * problem.widths() ** -2.0
-    border = np.arange(problem.first_order, problem.size)
-    gradient, matrix = response[border], normal.matrix[np.ix_(border, border)].copy()
+    border = normal.matrix.border
+    gradient, matrix = response[border], normal.matrix.middle.copy()
     whole = np.diag(matrix).copy()
-    for at in problem.blocks:
-        across = normal.matrix[np.ix_(at, border)]
-        inside = normal.matrix[np.ix_(at, at)] + np.diag(prior[at])
+    known = normal.matrix.plus(prior)
+    for at, inside, across in zip(known.blocks, known.inside, known.across, strict=True):
         taken = np.linalg.solve(inside, np.column_stack([across, response[at]]))
         matrix -= across.T @ taken[:, :-1]
         gradient -= across.T @ taken[:, -1]

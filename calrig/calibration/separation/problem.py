@@ -33,7 +33,7 @@ from calrig.calibration.separation.accelerometer import (
     turned,
 )
 from calrig.calibration.separation.clamping import stage_direction, tilted
-from calrig.calibration.separation.normal_equations import Inverse, Normal, inverse_of, whitened
+from calrig.calibration.separation.normal_equations import Arrow, Inverse, Normal, inverse_of, whitened
 from calrig.calibration.separation.pose_table import BoolArray, Intp, Table
 from calrig.calibration.separation.stage_map import LARGEST_BACKLASH_RAD, LARGEST_RAD, basis
 from calrig.estimation.angles import FloatArray
@@ -350,24 +350,26 @@ class Problem:
         left, derivatives = self._responses(parameters)
         kept, own = np.flatnonzero(weights > 0.0), self.n_own
         white, log_variance = self._white(left, derivatives, weights, kept)
-        matrix, gradient = np.zeros((self.size, self.size)), np.zeros(self.size)
-        of_map = white[:, own:].T @ white[:, own:]
-        matrix[self.map_at, self.map_at] = of_map[:-1, :-1]
+        gradient, of_map = np.zeros(self.size), white[:, own:].T @ white[:, own:]
         gradient[self.map_at] = of_map[:-1, -1]
+        inside = tuple(np.zeros((len(at), len(at))) for at in self.blocks)
+        across = tuple(np.zeros((len(at), len(of_map) - 1)) for at in self.blocks)
         ends = left.shape[1] * np.searchsorted(self.table.mount[kept], np.arange(len(self.table.mounts) + 1))
-        for k in range(len(self.table.mounts)):
+        for k, mount in enumerate(self.table.mounts):
             rows, at = white[ends[k] : ends[k + 1]], self.own[k]
             products = rows[:, :own].T @ rows
-            matrix[np.ix_(at, at)] += products[:, :own]
-            matrix[at, self.map_at] += products[:, own:-1]
             gradient[at] += products[:, -1]
-        matrix[self.map_at, : self.first_order] = matrix[: self.first_order, self.map_at].T
+            block, free = 0 if self.table.is_whole else mount.unit, np.flatnonzero(self.free[at])
+            places = np.searchsorted(self.blocks[block], at[free])
+            inside[block][np.ix_(places, places)] += products[np.ix_(free, free)]
+            across[block][places] += products[free, own:-1]
+        border = np.arange(self.first_order, self.size)
+        matrix = Arrow(self.size, self.blocks, inside, across, border, of_map[:-1, :-1])
         return Normal(left, matrix, gradient, float(of_map[-1, -1]), log_variance, derivatives)
 
-    def inverse(self, matrix: FloatArray) -> Inverse:
-        """Of normal equations (p, p), 0 of parameters that are not free."""
-        border = self.first_order + np.flatnonzero(self.free[self.first_order :])
-        return inverse_of(matrix, self.blocks, border)
+    def inverse(self, matrix: Arrow) -> Inverse:
+        """Of normal equations, 0 of parameters that are not free."""
+        return inverse_of(matrix, self.free[self.first_order :])
 
     def _stage(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The vertical at each pose as the table has it, and its derivatives by the turn and by the dip."""

@@ -107,7 +107,7 @@ class _Likelihood:
         for name, places in self._places.items():
             widths[places] = max(getattr(spread, name), AS_NONE)
             drawn += 2.0 * float(np.log(widths[places]).sum())
-        inverse = self._problem.inverse(normal.matrix + np.diag(fit.noise**2 * widths**-2.0))
+        inverse = self._problem.inverse(normal.matrix.plus(fit.noise**2 * widths**-2.0))
         explained = float(normal.gradient @ inverse.solve(normal.gradient))
         squares = max(normal.squares - explained, LEAST_SQUARES)
         return -0.5 * (fit.freedom * float(np.log(squares)) + inverse.log_determinant + drawn)

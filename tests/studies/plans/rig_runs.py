@@ -16,6 +16,7 @@ from empty_store import lay_empty_store
 from calrig.calibration.diagnosis.tracing import diagnose
 from calrig.calibration.plan_design.design_problem import Goals
 from calrig.calibration.poses import Pose
+from calrig.model.result import Result
 from calrig.plan import Plan
 from calrig.runs.plan_designs import Designed, DesignRequest, answer, question
 from calrig.runs.service import RunService
@@ -37,7 +38,7 @@ class Carried:
     """A run: what it took by its clock, its result and its poses."""
 
     took_s: float
-    result: Mapping[str, Any]
+    result: Result
     poses: list[Pose]
 
 
