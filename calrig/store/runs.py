@@ -5,14 +5,15 @@ A run on a rig stores each pose as it is measured, and must not wait while an im
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Literal, Unpack, get_args
 
 import sqlalchemy
-from sqlalchemy import Column, ColumnElement, Connection, MetaData, Table
+from sqlalchemy import JSON, Column, ColumnElement, Connection, MetaData, Table
+from sqlalchemy.orm import Mapped
 from sqlmodel import Session, and_, col, func, insert, literal, or_, select, tuple_
 
 from calrig.calibration.poses import Pose
@@ -334,20 +335,23 @@ class Runs(Repository):
 
     def reference_figures(self, run_ids: Sequence[str]) -> dict[str, tuple[float, float | None]]:
         """What the stage is worth in the bias (deg) and scale of runs that know it: type B, by run."""
-        worth = ((run_id, result.get("reference")) for run_id, result in self._results(run_ids))
-        return {run_id: (one["bias_std_deg"], one["scale_std"]) for run_id, one in worth if one is not None}
+        stated = sqlalchemy.type_coerce(col(RunTable.result)["reference"], JSON())  # the whole takes 1 ms
+        worth = ((run_id, one) for run_id, one in self._of(stated, run_ids) if one is not None)
+        return {run_id: (one["bias_std_deg"], one["scale_std"]) for run_id, one in worth}
 
     def gyros(self, run_ids: Sequence[str]) -> dict[str, Gyro]:
         """What runs with a result say of the gyro, by run."""
-        return {run_id: Gyro.model_validate(result["gyro"]) for run_id, result in self._results(run_ids)}
+        results = self._of(col(RunTable.result), run_ids)
+        return {uid: Gyro.model_validate(result["gyro"]) for uid, result in results if result is not None}
 
-    def _results(self, run_ids: Sequence[str]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-        """The results of runs that have one, by run."""
+    def _of(
+        self, what: Mapped[Any] | ColumnElement[Any], run_ids: Sequence[str]
+    ) -> Iterator[tuple[str, Any]]:
+        """Something of runs, by run."""
         with self._database.reading() as session:
             for begin in range(0, len(run_ids), IDS_AT_ONCE):
                 some = run_ids[begin : begin + IDS_AT_ONCE]
-                wanted = select(RunTable.uid, RunTable.result).where(col(RunTable.uid).in_(some))
-                yield from ((run_id, result) for run_id, result in session.exec(wanted) if result is not None)
+                yield from session.exec(select(RunTable.uid, what).where(col(RunTable.uid).in_(some)))
 
 
 def older_than(session: Session, cursor: str | None) -> list[ColumnElement[bool]]:

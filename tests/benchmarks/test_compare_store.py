@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic_core import to_json
+from sqlmodel import col, select
 
 from calrig.analysis import histories
 from calrig.analysis.comparison import compared_runs, comparison
@@ -86,3 +89,25 @@ def test_comparison_with_changes_and_due_dates(benchmark, store):
         return to_json(comparison(found, compared_runs(store, None, found), due, {}), inf_nan_mode="null")
 
     assert len(benchmark(answer)) > 100_000
+
+
+def test_what_stages_are_worth_is_read_without_the_rest_of_the_results(store):
+    """As where units move between rigs: a page of one unit asks it of thousands of runs."""
+    stated = {"std_deg": 0.01, "bias_std_deg": 0.006, "scale_std": 0.0001}
+    elevations = [dict.fromkeys(("elevation_deg", "raw_deg", "std_deg", "n"), k / 7) for k in range(73)]
+    with store._database.writing() as session:
+        for run in session.exec(select(RunTable).limit(1_000)):
+            run.result = {**run.result, "reference": stated, "per_elevation": elevations}
+    ids = [str(number) for number in range(1, 1_001)]
+
+    def took_s(read: Callable[[], object]) -> float:
+        began = time.process_time()
+        read()
+        return time.process_time() - began
+
+    with store._database.reading() as session:
+        wanted = select(RunTable.result).where(col(RunTable.uid).in_(ids))
+        whole_s = min(took_s(lambda: session.exec(wanted).all()) for _ in range(3))
+    part_s = min(took_s(lambda: store.runs.reference_figures(ids)) for _ in range(3))
+    assert len(store.runs.reference_figures(ids)) == len(ids)
+    assert part_s < whole_s / 3.0

@@ -262,6 +262,16 @@ def test_a_new_result_replaces_the_figures_and_none_removes_them(store, new_run,
     assert store.runs.get(run.id).result is None
 
 
+def test_what_a_stage_is_worth_is_told_of_the_runs_that_know_it(store, new_run, result):
+    stated = {"std_deg": 0.01, "bias_std_deg": 0.1 + 0.2, "scale_std": None}
+    one, without, before, none = (
+        new_run(result=given)
+        for given in ({**result, "reference": stated}, {**result, "reference": None}, result, None)
+    )
+    found = store.runs.reference_figures([run.id for run in (one, without, before, none)])
+    assert found == {one.id: (0.1 + 0.2, None)}, "as it was stored, to the last bit"
+
+
 def test_units_know_their_runs(store, new_run):
     new_run(unit="B")
     last = new_run(unit="B")

@@ -128,11 +128,14 @@ class Inverse:
     def between(self, rows: FloatArray) -> FloatArray:
         """(m, m) the inverse between rows (m, p), which may be of few blocks."""
         beside, found = rows[:, self.border].copy(), np.zeros((len(rows), len(rows)))
-        for at, inside, across in zip(self.blocks, self.inside, self.across, strict=True):
-            own = rows[:, at]
-            if own.any():
-                beside -= own @ across
-                found += own @ inside @ own.T
+        block = np.full(self.size, -1)
+        for k, at in enumerate(self.blocks):
+            block[at] = k
+        touched = block[rows.any(axis=0)]
+        for k in np.unique(touched[touched >= 0]):
+            own = rows[:, self.blocks[k]]
+            beside -= own @ self.across[k]
+            found += own @ self.inside[k] @ own.T
         return np.asarray(found + beside @ self.middle @ beside.T)
 
     def at(self, places: Intp) -> FloatArray:
