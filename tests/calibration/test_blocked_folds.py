@@ -9,6 +9,7 @@ from posed import posed
 from calrig.calibration.diagnosis.candidates import Candidate, candidates_of, model_columns
 from calrig.calibration.diagnosis.held_out import blocked, not_predictive
 from calrig.calibration.diagnosis.ranking import SelectedEffect
+from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.line import rms
 from calrig.calibration.regression.noise_model import fit
 from calrig.calibration.regression.responses import Responses, responses_of
@@ -115,3 +116,14 @@ def test_many_waves_within_a_block_are_foreseen_as_they_are(seed: int) -> None:
     r, waves = one_turn(seed, {360.0 / k: 0.05 for k in (6, 11, 16, 21, 26)})
     (along_angle,) = blocked(r, waves)
     assert rms(along_angle.final_deg) < 3.0 * NOISE_DEG < 0.05 < rms(along_angle.base_deg)
+
+
+@pytest.mark.parametrize("column", ["time_s", "approach"])
+def test_blocks_of_rows_are_called_by_what_gives_their_order(column: str) -> None:
+    theta_deg = np.random.default_rng(3).uniform(-60.0, 60.0, 48)
+    known = {"time_s": 5.0 * np.arange(48), "approach": np.sign(np.diff(theta_deg, prepend=0.0))}[column]
+    diagnosed = diagnose(
+        [posed(target_deg=theta_deg, reading_deg=theta_deg, **{column: known})], bootstraps=99
+    )
+    along = {"time_s": "time", "approach": "the rows"}[column]
+    assert f"blocks along {along} and along angle" in document(diagnosed, ["a run"])["held_out"]["how"]

@@ -16,6 +16,7 @@ from calrig.calibration.diagnosis.experiment_design import ambiguous_of, design
 from calrig.calibration.diagnosis.held_out import (
     BLOCKS,
     FOLDS,
+    TIME,
     Blocked,
     CrossValidation,
     blocked,
@@ -227,7 +228,7 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
         "known_periods_deg": list(r.known_periods_deg),
         "n_poses": len(r),
         "held_out": {
-            "how": "not measured" if held_out is None else _how(held_out, blocks),
+            "how": "not measured" if held_out is None else _how(r, held_out, blocks),
             "n_poses": 0 if held_out is None else len(r),
         },
         "noise": _noise(diagnosis.lack),
@@ -252,9 +253,10 @@ def document(diagnosis: Diagnosis, run_ids: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _how(held_out: CrossValidation, blocks: Sequence[Blocked]) -> str:
+def _how(r: Responses, held_out: CrossValidation, blocks: Sequence[Blocked]) -> str:
     """Return how the errors on held-out poses were measured, in words."""
-    along = " and ".join(f"along {one.along}" for one in blocks)
+    things = {TIME: "time" if r.time_s is not None else "the rows"}
+    along = " and ".join(f"along {things.get(one.along, one.along)}" for one in blocks)
     those = "" if held_out.is_searched else ", with the effects of all poses"
     return f"{held_out.folds} folds, interleaved{those}; {BLOCKS} contiguous blocks {along}"
 
