@@ -305,9 +305,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
         report.say(f"what comes before the names of the columns, in line {header.line}, is not read")
     if not header.text:
         raise CsvError("the file has comments and no rows" if row.comments else "the file is empty")
-    if _JSON.match(header.text):
-        what = "is JSON, not a table: write the names of the columns, then a row each"
-        raise CsvError(what, line=header.line)
+    if what := next((what for begin, what in _NO_TABLES.items() if begin.match(header.text)), None):
+        raise CsvError(f"is {what}", line=header.line)
     rows = data[header.end : header.end + EXAMINED_BYTES]
     if _has_long_names(header):
         raise CsvError(f"a name has at most {MAX_NAME_CHARACTERS} characters", line=header.line)
@@ -398,7 +397,12 @@ def _names_below(data: bytes, header: _Row, dialect: Dialect) -> int | None:
     return rows[k].line if len(cells[k]) > len(cells[0]) and not are_data(cells[k]) else None
 
 
-_JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")
+_NO_TABLES = {
+    re.compile(
+        rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))"""
+    ): "JSON, not a table: write the names of the columns, then a row each",
+    re.compile(rb"PK\x03\x04|\xD0\xCF\x11\xE0"): "a workbook or an archive, not text: save the table as CSV",
+}
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 
 
