@@ -404,7 +404,7 @@ def _traced(store: Store, before: str, after: str) -> Document:
         return {"effects": None}
     between = {"from": before, "to": after}
     effects = [effect for effect in diagnosis["effects"] if effect.get("changed") == between]
+    if not effects:
+        return {"effects": effects}
     is_good = diagnosis.get("reference") == "good"
-    return {"effects": effects} | (
-        {"says": traced_in_words(effects, reference_is_good=is_good)} if effects else {}
-    )
+    return {"effects": effects, "says": traced_in_words(effects, reference_is_good=is_good)}

@@ -320,16 +320,14 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     if _is_of_units(second, dialect, len(texts)):
         begin, first_line, units = second.end, second.line + 1, _cells(second, dialect)
         report.say(f"line {second.line} is read as a row of units")
-    skipped = [*row.comments, *(second.comments if units else ())]
-    for comment in skipped:
+    for comment in (*row.comments, *(second.comments if units else ())):
         if comment.line != header.line:
             report.count(COMMENTS, f"line {comment.line}")
     columns = columns_of(texts, units, known, required, header.line)
     _read_by_cells(columns, data[begin : begin + EXAMINED_BYTES // 10], dialect, known, required)
     refuse_bad_names(columns, header.line)
     with report:
-        lacks = set(required) - {column.name for column in columns}
-        below = _names_below(data, header, dialect) if lacks else None
+        below = None if {*required} <= {c.name for c in columns} else _names_below(data, header, dialect)
         for fault in missing_columns(columns, required, header.line, below=below):
             report.add_fault(fault)
     for note in header_notes(columns, known):
@@ -386,21 +384,19 @@ def _rows_below(data: bytes, row: _Row) -> Iterator[_Row]:
 def _names_below(data: bytes, header: _Row, dialect: Dialect) -> int | None:
     """The first of the lines right above the first data that have as many cells, if the header has fewer."""
     rows = [header, *_rows_below(data, header)]
-    cells = [
-        row.text.decode(errors="replace").rstrip(dialect.separator).split(dialect.separator) for row in rows
-    ]
+    texts = (row.text.decode(errors="replace").rstrip(dialect.separator) for row in rows)
+    cells = [text.split(dialect.separator) for text in texts]
     k = next((k for k, own in enumerate(cells) if len(own) > 1 and are_data(own)), 0)
     while k > 1 and len(cells[k - 1]) == len(cells[k]):
-        if rows[k - 1].line < rows[k].line - 1 and not are_data(cells[k]):
+        if not are_data(cells[k]) and rows[k - 1].line + 1 < rows[k].line:
             break  # lines of another kind, above a blank one
         k -= 1
     return rows[k].line if len(cells[k]) > len(cells[0]) and not are_data(cells[k]) else None
 
 
+_JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")
 _NO_TABLES = {
-    re.compile(
-        rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))"""
-    ): "JSON, not a table: write the names of the columns, then a row each",
+    _JSON: "JSON, not a table: write the names of the columns, then a row each",
     re.compile(rb"PK\x03\x04|\xD0\xCF\x11\xE0"): "a workbook or an archive, not text: save the table as CSV",
 }
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")

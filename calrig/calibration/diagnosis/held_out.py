@@ -409,12 +409,8 @@ def _foreseen(r: Responses, shown: Sequence[Candidate], train: Intp) -> list[Can
     """
     wavy: dict[object, list[Candidate]] = {}
     for c in shown:
-        if (
-            c.beside is None
-            and c.changed is None
-            and c.effect.on_vector_g is None
-            and not c.effect.not_linear
-        ):
+        is_linear = c.effect.on_vector_g is None and c.effect.not_linear is None
+        if is_linear and c.beside is None and c.changed is None:
             wavy.setdefault((c.covariate, c.shape.at_elevation is None), []).append(c)
     foreseen, line = list(shown), _flat(model_columns(r, ())[train])
     for those in wavy.values():

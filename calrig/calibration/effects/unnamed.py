@@ -389,9 +389,7 @@ def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documen
     columns, sized = shape.shares[READING], shape
     if shape.covariate == ELEVATION.name and shape.form.startswith("smooth"):
         sized = replace(shape, shares={READING: bent_columns(columns)})  # a straight line is bias and scale
-    elif (
-        shape.covariate == ELEVATION.name and shape.form == "kink"
-    ):  # by how far it is off that from end to end
+    if shape.covariate == ELEVATION.name and shape.form == "kink":  # off the line from end to end
         sized = replace(shape, shares={READING: columns * (1.0 - columns.max())})
     found: Documents = {"size_deg": size_deg(sized, beta, covariance), "period": None, "at": None}
     if shape.form == CIRCLE:
