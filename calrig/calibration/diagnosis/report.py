@@ -46,7 +46,14 @@ from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import ANGLE, CHANNELS, READING, SCALE_UNIT_DEG
 from calrig.calibration.regression.effect import ELEVATION, LAST_MOVE, Circumstances, Scope, Shape
-from calrig.calibration.regression.noise_model import Fit, fit, fits, moved_unweighted, noise_of
+from calrig.calibration.regression.noise_model import (
+    Fit,
+    fit,
+    fits,
+    moved_unweighted,
+    noise_of,
+    varied_between_parts,
+)
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import Change, Responses, responses_of
 from calrig.calibration.regression.run_changes import in_words
@@ -74,8 +81,8 @@ def covariance_of(
 ) -> FloatArray:
     """Return (p, p) covariance of a fit's coefficients, no error smaller than the fit states it.
 
-    Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`), and with
-    `draws` as large as refits of noise scatter.
+    Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`) and as parts
+    of the run disagree (`varied_between_parts`), and with `draws` as large as refits of noise scatter.
 
     Args:
         r: the responses.
@@ -86,13 +93,16 @@ def covariance_of(
         draws: whether noise is drawn and fitted again.
     """
 
-    def over(variance: FloatArray, stated: FloatArray, otherwise: float) -> FloatArray:
-        ratio = np.divide(variance, stated, out=np.full_like(stated, otherwise), where=stated > 0.0)
+    def alike(ratio: FloatArray) -> FloatArray:
         for own in curves:  # another factor for each would undo that their errors cancel
             ratio[own] = ratio[own].mean()
         return ratio
 
+    def over(variance: FloatArray, stated: FloatArray, otherwise: float) -> FloatArray:
+        return alike(np.divide(variance, stated, out=np.full_like(stated, otherwise), where=stated > 0.0))
+
     moved = over(moved_unweighted(r, columns, fitted) ** 2, np.diag(fitted.covariance), 0.0)
+    varied = alike(varied_between_parts(r, columns, fitted))
     times = np.ones_like(moved)
     if draws:
         taken = max(1.0, columns.shape[2] / len(r.channels))
@@ -101,7 +111,7 @@ def covariance_of(
         again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
         stated = np.einsum("bpp->p", again.covariance) / DRAWS
         times = np.maximum(over((again.beta**2).mean(axis=0), stated, 1.0), 1.0)
-    wider = np.sqrt(times + moved)
+    wider = np.sqrt(times * varied + moved)
     return np.asarray(fitted.covariance * wider * wider[:, None], dtype=np.float64)
 
 

@@ -430,6 +430,50 @@ def moved_unweighted(r: Responses, columns: FloatArray, fitted: Fit) -> FloatArr
     return np.where(moved**2 > WEIGHTINGS_AGREE**2 * variance, moved, 0.0)
 
 
+PARTS = 4
+"""Of the poses in the order measured, as near to equal as can be."""
+PARTS_DISAGREE = 1e-3
+"""Chance that noise alone moves a coefficient as far where each part is left out in turn."""
+A_PART = 0.02
+"""Of a variance, by which it must grow without a part that tells something of the coefficient."""
+
+
+def varied_between_parts(r: Responses, columns: FloatArray, fitted: Fit) -> FloatArray:
+    """Return (p,) how many times its variance a coefficient varies between parts of the time; 1 as noise may.
+
+    Without one of the parts a true model estimates the same, and what the coefficient moves by has the
+    difference of both variances (Hausman, as above). If it moves further, errors grow by the Birge ratio
+    (R. T. Birge, Physical Review 40, 1932): a hysteresis that depends on the speed is another in each part.
+
+    Args:
+        r: the responses.
+        columns: (n, J, p) of the fit.
+        fitted: the fit.
+    """
+    from scipy.special import chdtrc
+
+    white = stacked(fitted.noise, r.starts, columns)
+    left = stacked(fitted.noise, r.starts, fitted.residuals[:, :, None])[:, 0]
+    gram = white.T @ white
+
+    def inverse(gram_of_rest: FloatArray) -> FloatArray:
+        (turn,) = orthonormal(gram_of_rest[None], np.sqrt(np.diag(gram))[None])
+        return np.asarray(turn @ turn.T, dtype=np.float64)
+
+    known = np.diag(inverse(gram))
+    squares, informed = np.zeros((2, len(known)))
+    for part in np.array_split(np.arange(len(white)), PARTS):
+        rest = inverse(gram - white[part].T @ white[part])
+        moved, grown = rest @ (white[part].T @ left[part]), np.diag(rest) - known
+        tells = grown > A_PART * known
+        squares += np.divide(moved**2, grown, out=np.zeros_like(moved), where=tells)
+        informed += tells
+    several = informed > 1
+    ratio = np.divide(squares, informed, out=np.ones_like(squares), where=several)
+    chance = chdtrc(np.maximum(informed - 1.0, 1.0), ratio * np.maximum(informed - 1.0, 1.0))
+    return np.where(several & (chance < PARTS_DISAGREE), ratio, 1.0)
+
+
 def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased: bool = False) -> NoiseModel:
     """Return the noise model of residuals.
 
