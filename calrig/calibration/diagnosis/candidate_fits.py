@@ -21,6 +21,7 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import (
     Candidate,
     candidate_at,
+    distinct_from,
     model_columns,
     side_by_side,
 )
@@ -351,7 +352,7 @@ def refined(r: Responses, accepted: Sequence[Candidate], candidates: Sequence[Ca
 
 def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate) -> _Refining:
     """Gauss-Newton steps of one candidate's place, each as long as it still improves the fit."""
-    name = candidate.effect.place
+    name, is_distinct = candidate.effect.place, distinct_from(r, accepted)
     best = yield from _fitted_at(candidate)
     for _ in range(0 if candidate.shape.series else STEPS):
         step, std = yield from _step(r, best)
@@ -361,7 +362,7 @@ def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate)
             there = moved(r, candidate, {**start.candidate.shape.at, name: place + step})
             trial = yield from _fitted_at(there)
             is_better = trial.criterion < start.criterion and there.effect.carried(r, there.shape)
-            if is_better and there.is_distinct_from_all(r, accepted):
+            if is_better and is_distinct(there):
                 best = trial
                 break
             step /= 4.0
@@ -372,7 +373,7 @@ def _refining(r: Responses, accepted: Sequence[Candidate], candidate: Candidate)
     at = candidate.effect.settled(best.candidate.shape.at, {name: std})
     if at != best.candidate.shape.at:
         settled = moved(r, candidate, at)
-        if settled.is_distinct_from_all(r, accepted):
+        if is_distinct(settled):
             best = yield from _fitted_at(settled)
     here = best.candidate
     is_known = here.shape.series == THE_TURN and not here.shape.scanned

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, reduce
 from itertools import accumulate, combinations
@@ -138,24 +138,29 @@ class Candidate:
 
     def is_distinct(self, r: Responses, other: Candidate) -> bool:
         """Whether both can be in one model: in other runs, or at places that these poses tell apart."""
-        return self.is_distinct_from_all(r, [other])
-
-    def is_distinct_from_all(self, r: Responses, others: Sequence[Candidate]) -> bool:
-        """Whether it can be in one model with each of the others."""
-        resolved, change = self.effect.resolved, in_words(self.changed)
-        if resolved is None:
-            return True
-        here = resolved(r, self.shape)
-        return not any(
-            abs(here - resolved(r, other.shape)) < 1.0
-            for other in others
-            if in_words(other.changed) == change
-        )
+        return distinct_from(r, [other])(self)
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Candidate:
         """Return the same candidate in some of the poses."""
         beside = self.beside and self.beside.rows(chosen)
         return Candidate(self.effect, self.shape, self.columns[chosen], beside)
+
+
+def distinct_from(r: Responses, others: Sequence[Candidate]) -> Callable[[Candidate], bool]:
+    """Return what tells whether a candidate can be in one model with each of several others."""
+    places: dict[tuple[object, str], list[float]] = {}
+
+    def is_distinct(candidate: Candidate) -> bool:
+        resolved, change = candidate.effect.resolved, in_words(candidate.changed)
+        if resolved is None:
+            return True
+        if (resolved, change) not in places:
+            alike = [other for other in others if in_words(other.changed) == change]
+            places[resolved, change] = [resolved(r, other.shape) for other in alike]
+        here = resolved(r, candidate.shape)
+        return not any(abs(here - there) < 1.0 for there in places[resolved, change])
+
+    return is_distinct
 
 
 def _is_level(columns: FloatArray) -> bool:
@@ -245,10 +250,10 @@ def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
 
 def harmonics_of(r: Responses, accepted: Sequence[Candidate]) -> list[Candidate]:
     """Return the further terms of causes in a model, each and the first of them as one."""
-    found = []
+    found, is_distinct = [], distinct_from(r, accepted)
     for first in accepted:
         if first.changed is None:
-            terms = [c for c in _further_terms(r, first) if c.is_distinct_from_all(r, accepted)]
+            terms = [c for c in _further_terms(r, first) if is_distinct(c)]
             found += [*terms, *_series(r, terms)]
     return found
 
@@ -290,7 +295,8 @@ def orders_beside(
         return []
     orders = [c for c in candidates if c.shape.series == THE_TURN and c.beside is None and c.changed is None]
     present = {c.label for c in accepted if not c.shape.at}
-    left = [c for c in orders if c.label not in present and c.is_distinct_from_all(r, accepted)]
+    is_distinct = distinct_from(r, accepted)
+    left = [c for c in orders if c.label not in present and is_distinct(c)]
     return _series(r, left)
 
 

@@ -20,6 +20,7 @@ from calrig.calibration.diagnosis.candidates import (
     Candidate,
     at_its_elevations,
     candidate_at,
+    distinct_from,
 )
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.diagnosis.sensor_model import (
@@ -235,8 +236,9 @@ def _alike(
         for at in effect.look_alikes(r, best.candidate.shape)
         for shape in effect.forms(r, at)
     ]
+    is_distinct = distinct_from(r, accepted)
     for criterion, own, other in refined(r, accepted, alike):
-        carried = other.is_distinct_from_all(r, accepted) and effect.carried(r, other.shape)
+        carried = is_distinct(other) and effect.carried(r, other.shape)
         if carried and other.is_possible(own):
             found.append((criterion, other))
     least = min(criterion for criterion, _ in found)

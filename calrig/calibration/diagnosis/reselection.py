@@ -18,6 +18,7 @@ import numpy as np
 from calrig.calibration.diagnosis.candidates import (
     Candidate,
     at_its_elevations,
+    distinct_from,
     harmonics_of,
     is_term_of,
     orders_beside,
@@ -183,6 +184,7 @@ def offered(
     followed = {c.covariate for c in accepted}
     always = {c.name for c in accepted if c.changed is None}
     once = {c.label for c in accepted if c.named and _enters_once(c)}
+    is_distinct = distinct_from(r, accepted)
 
     def may_enter(c: Candidate) -> bool:
         if c.columns.shape[2] > room:
@@ -190,14 +192,14 @@ def offered(
         if c.beside is not None:
             if c.shape.series:  # other terms of it may be in the model
                 return not any(one.label in once for one in c.members) and all(
-                    one.is_distinct_from_all(r, accepted) for one in c.members
+                    is_distinct(one) for one in c.members
                 )
             return not any(one.label in once or one.name in always for one in c.members)
         if c.shape.beside and not followed.issuperset(c.shape.beside):
             return False
         if c.label in once or not (c.follows is None or c.follows in present):
             return False
-        return c.is_distinct_from_all(r, accepted)
+        return is_distinct(c)
 
     every = [*candidates, *harmonics_of(r, accepted)]
     allowed = [c for c in every if c.label not in refused and wanted(c) and may_enter(c)]
