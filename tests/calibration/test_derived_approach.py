@@ -8,9 +8,11 @@ from posed import posed
 
 from calrig.calibration.diagnosis.tracing import trace
 from calrig.calibration.regression.motion import DERIVED_APPROACH, with_approach
+from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import responses_of
 
 PLAY_DEG = 0.2
+KNOWN = DiagnosisRequest(periods_deg=(5.0,))
 
 
 def triangle_deg():
@@ -63,6 +65,27 @@ def test_a_difference_by_direction_that_changes_its_sign_is_no_play(seed):
     found = trace([poses], ["1"])["effects"]
     assert all("growth_deg_per_deg" not in effect["parameters"] for effect in found)
     assert any(effect["covariate"] == "approach·target_deg" for effect in found)
+
+
+@pytest.mark.parametrize(("apart_deg", "request_"), [(90.0, AS_USUAL), (180.0, KNOWN)], ids=["90", "180"])
+def test_a_periodic_error_of_another_phase_each_way_is_a_mean_and_a_difference(apart_deg, request_):
+    """As a stepper under friction has it; 180° apart no mean is left, and the period is stated."""
+    rng = np.random.default_rng(5)
+    up_deg = np.sort(rng.uniform(0.0, 360.0, 300))
+    theta_deg, up = np.concatenate([up_deg, up_deg[::-1]]), np.repeat([1.0, -1.0], 300)
+    wave_deg = 0.12 * np.sin(np.radians(72.0 * theta_deg + 0.5 * apart_deg * up))
+    reading_deg = theta_deg + wave_deg + 0.02 * rng.standard_normal(600)
+    poses = posed(target_deg=theta_deg, reading_deg=reading_deg, time_s=1.5 * np.arange(600))
+    found = trace([poses], ["1"], request=request_)
+    mean_deg, difference_deg = (0.12 * f(np.radians(apart_deg / 2.0)) for f in (np.cos, np.sin))
+    difference = next(e for e in found["effects"] if e["covariate"] == "approach·target_deg")
+    size = difference["parameters"]["size_deg"]
+    assert difference["parameters"]["period"]["value"] == pytest.approx(5.0, abs=0.002)
+    assert abs(size["value"] - 2.0 * difference_deg) <= 4.0 * size["std"]
+    means = [e["parameters"]["amplitude_deg"] for e in found["effects"] if e["name"] == "stage_periodic"]
+    assert len(means) == (mean_deg > 0.01)
+    assert all(abs(mean["value"] - mean_deg) <= 4.0 * mean["std"] for mean in means)
+    assert found["final"]["held_out_rms_deg"] == pytest.approx(0.02, rel=0.2)
 
 
 def test_a_stage_that_was_asked_for_no_step_came_as_it_did_before():

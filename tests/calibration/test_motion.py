@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from posed import posed
 
 from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.poses import Pose
@@ -72,6 +73,17 @@ def test_a_log_taken_on_the_move_tells_the_sense_of_its_motion_and_has_no_moves(
         approach_of(poses), np.sign(stroke_deg(UNEVEN_S) - stroke_deg(UNEVEN_S - 1e-5))
     )
     assert np.isnan(moves_deg(poses)).all()
+
+
+def test_rows_at_uneven_angles_that_go_on_one_way_were_come_to_that_way():
+    """A smooth motion through them would swing back where two lie close together."""
+    up_deg = np.sort(np.random.default_rng(5).uniform(0.0, 360.0, 300))
+    theta_deg = np.concatenate([up_deg, up_deg[-2::-1]])
+    poses = posed(target_deg=theta_deg, reading_deg=theta_deg, time_s=1.5 * np.arange(len(theta_deg)))
+    assert motion_of(poses) is not None
+    up = np.diff(theta_deg, append=-1.0) > 0.0  # the turning point itself has no way of its own
+    np.testing.assert_array_equal(approach_of(poses)[up], 1.0)
+    np.testing.assert_array_equal(approach_of(poses)[300:], -1.0)
 
 
 def test_readings_that_come_late_in_a_log_without_velocities_are_traced_to_their_delay():

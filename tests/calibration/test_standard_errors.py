@@ -12,8 +12,9 @@ from studies.blind.causes import eccentricity
 from studies.blind.cells import Cell
 
 from calrig.calibration.diagnosis.candidates import documented_forms
-from calrig.calibration.diagnosis.report import covariance_of
+from calrig.calibration.diagnosis.report import DIFFERS, covariance_of
 from calrig.calibration.diagnosis.sensor_model import fitted_model
+from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.regression.noise_model import fit, fits, noise_of
 from calrig.calibration.regression.responses import responses_of
 from calrig.calibration.regression.terms import amplitude_and_phase
@@ -139,6 +140,23 @@ def test_an_error_covers_what_an_effect_differs_by_from_one_part_of_the_run_to_a
     size_deg, stated_deg, widened_deg = hysteresis_in(halves_deg, 0)
     assert abs(size_deg - halves_deg).min() > 10.0 * stated_deg
     assert abs(size_deg - halves_deg).max() < 3.0 * widened_deg
+
+
+def test_an_effect_that_changes_within_the_run_stays_listed_and_says_so():
+    """A wave of 0.1° that becomes one of 0.3° half way."""
+    rng = np.random.default_rng(3)
+    theta_deg = np.tile(np.sort(rng.uniform(0.0, 180.0, 80)), 4)
+    halves_deg = np.repeat([0.1, 0.3], 160)
+    wave_deg = halves_deg * np.sin(np.radians(18.0 * theta_deg))
+    reading_deg = theta_deg + wave_deg + 0.02 * rng.standard_normal(320)
+    found = document(
+        diagnose([posed(target_deg=theta_deg, reading_deg=reading_deg)], bootstraps=199, cross_fit=False),
+        ["1"],
+    )
+    wave = next(e for e in found["effects"] if e["name"] == "stage_periodic")
+    amplitude = wave["parameters"]["amplitude_deg"]
+    assert DIFFERS in wave["evidence"]
+    assert abs(amplitude["value"] - halves_deg).max() < 3.0 * amplitude["std"]
 
 
 @pytest.mark.statistical

@@ -11,6 +11,7 @@ from itertools import accumulate, combinations
 import numpy as np
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
+from calrig.calibration.effects.unnamed import WAVE_BY_SIDE, waves_by_side
 from calrig.calibration.regression.channels import ANGLE, READING
 from calrig.calibration.regression.effect import ELEVATION, HIDDEN, OF, Effect, Parameters, Shape
 from calrig.calibration.regression.responses import Change, Responses
@@ -249,12 +250,17 @@ def _series(r: Responses, shown: Sequence[Candidate]) -> list[Candidate]:
 
 
 def harmonics_of(r: Responses, accepted: Sequence[Candidate]) -> list[Candidate]:
-    """Return the further terms of causes in a model, each and the first of them as one."""
+    """Return the further terms of causes in a model, each and the first of them as one.
+
+    And what each wave may differ by from one direction to the other.
+    """
     found, is_distinct = [], distinct_from(r, accepted)
+    known = {c.shape.at.get("period") for c in accepted if c.shape.form == WAVE_BY_SIDE}
     for first in accepted:
         if first.changed is None:
             terms = [c for c in _further_terms(r, first) if is_distinct(c)]
-            found += [*terms, *_series(r, terms)]
+            by_side = [c for c in _by_side(r, first) if c.shape.at["period"] not in known]
+            found += [*terms, *_series(r, terms), *by_side]
     return found
 
 
@@ -282,6 +288,14 @@ def _further_terms(r: Responses, first: Candidate) -> list[Candidate]:
         for shape in first.effect.forms(r, at)
         if first.effect.carried(r, shape)
     ]
+
+
+@lru_cache(maxsize=KEPT)
+def _by_side(r: Responses, wave: Candidate) -> list[Candidate]:
+    period_deg = wave.shape.at.get("period_deg")
+    if period_deg is None:
+        return []
+    return [candidate_of(r, EFFECTS[UNNAMED], shape) for shape in waves_by_side(r, period_deg)]
 
 
 def orders_beside(

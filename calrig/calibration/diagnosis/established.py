@@ -113,9 +113,9 @@ def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> l
         """Return each squared distance from 0, per coefficient."""
         return [distance_of(beta[at], covariance[at, at]) / (at.stop - at.start) for at in own]
 
-    covariance = covariance_with_places(model, own, widened=False)
+    covariance = covariance_with_places(model, own, draws=False, parts=False)
     if draws and min(wald(covariance)) < CLEAR**2:
-        covariance = covariance_with_places(model, own)
+        covariance = covariance_with_places(model, own, parts=False)
     return [
         float(fdtrc(at.stop - at.start, freedom, distance))
         if has_size(candidate, beta[at], covariance[at, at], together=True)

@@ -66,6 +66,7 @@ ONE_CURVE = "with a good reference each is the sensor's, and its correction is t
 SCALE = "reading.scale"
 A_WAVE = 2
 """Columns; an effect with more is a curve."""
+DIFFERS = "it differs between quarters of the run by more than noise, and its errors allow for that"
 DRAWS = 100
 """Which tell an error to 7 % of itself."""
 
@@ -78,11 +79,12 @@ def covariance_of(
     curves: Sequence[slice] = (),
     *,
     draws: bool = True,
+    parts: bool = True,
 ) -> FloatArray:
     """Return (p, p) covariance of a fit's coefficients, no error smaller than the fit states it.
 
-    Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`) and as parts
-    of the run disagree (`varied_between_parts`), and with `draws` as large as refits of noise scatter.
+    Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`), with `draws`
+    as large as refits of noise scatter, and with `parts` by as much as parts of the run disagree.
 
     Args:
         r: the responses.
@@ -91,6 +93,7 @@ def covariance_of(
         seed: of the draws.
         curves: columns of one effect, whose coefficients are certain in combination: one factor for all.
         draws: whether noise is drawn and fitted again.
+        parts: whether coefficients that differ between parts count as less certain (`varied_between_parts`).
     """
 
     def alike(ratio: FloatArray) -> FloatArray:
@@ -102,8 +105,9 @@ def covariance_of(
         return alike(np.divide(variance, stated, out=np.full_like(stated, otherwise), where=stated > 0.0))
 
     moved = over(moved_unweighted(r, columns, fitted) ** 2, np.diag(fitted.covariance), 0.0)
-    varied = alike(varied_between_parts(r, columns, fitted))
-    times = np.ones_like(moved)
+    times, varied = np.ones_like(moved), np.ones_like(moved)
+    if parts:
+        varied = alike(varied_between_parts(r, columns, fitted))
     if draws:
         taken = max(1.0, columns.shape[2] / len(r.channels))
         noise = noise_of(fitted.residuals, r, taken, unbiased=True)
@@ -120,19 +124,22 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     whole = [_whole_form(r, f.candidate) for f in findings.found]
     model = fitted_model(r, whole)
     own = own_columns(model.columns, whole)
-    fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
+    # an effect that is another in each part of the run is there all the same
+    alike = covariance_with_places(model, own, parts=False)
     sized = [
-        one if has_size(one, fitted.beta[at], fitted.covariance[at, at]) else f.candidate
+        one if has_size(one, model.fitted.beta[at], alike[at, at]) else f.candidate
         for one, at, f in zip(whole, own, findings.found, strict=True)
     ]
     if sized != whole:  # of two coefficients that only together are certain, the one that was found
         model = fitted_model(r, whole := sized)
         own = own_columns(model.columns, whole)
-        fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
+        alike = covariance_with_places(model, own, parts=False)
+    fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
+    differs = np.diag(fitted.covariance) > np.diag(alike)
     whole = _with_std_of_places(whole, fitted.covariance)
     shares = explained_shares(r, parts_deg(r, whole, model.fitted.beta))
     together = _sizes_together(r, whole, fitted, own)
-    return [
+    documents = [
         {
             **_document(r, one, candidate, fitted, at, together.get(candidate.label)),
             "explained": share,
@@ -140,6 +147,10 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
         }
         for one, candidate, at, share in zip(findings.found, whole, own, shares, strict=True)
     ]
+    for document, at in zip(documents, own, strict=True):
+        if differs[at].any():
+            document["evidence"].append(DIFFERS)
+    return documents
 
 
 def _sizes_together(
@@ -177,7 +188,9 @@ def explained_shares(r: Responses, effects_deg: Sequence[FloatArray]) -> list[fl
     return [float(before_deg @ one) / power if power > 0.0 else None for one in effects_deg]
 
 
-def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool = True) -> FloatArray:
+def covariance_with_places(
+    model: Model, own: Sequence[slice], *, draws: bool = True, parts: bool = True
+) -> FloatArray:
     """Return (p, p) covariance of a model's coefficients, the places that were refined among the unknowns.
 
     An order of the turn is known.
@@ -185,7 +198,8 @@ def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool 
     Args:
         model: with its fit.
         own: the columns of each accepted effect.
-        widened: by how far refits of noise scatter, too (`covariance_of`).
+        draws: as `covariance_of` has it.
+        parts: likewise.
     """
     slopes = [place_slope(model, own, k) for k, one in enumerate(model.accepted) if _is_refined(one)]
     r, columns, fitted = model.responses, model.columns, model.fitted
@@ -193,7 +207,7 @@ def covariance_with_places(model: Model, own: Sequence[slice], *, widened: bool 
         columns = np.concatenate([columns, *slopes], axis=2)
         fitted = fit(r, columns)
     curves = [at for at in own if at.stop - at.start > A_WAVE]
-    return covariance_of(r, columns, fitted, curves=curves, draws=widened)
+    return covariance_of(r, columns, fitted, curves=curves, draws=draws, parts=parts)
 
 
 def _is_refined(candidate: Candidate) -> bool:

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from calrig.calibration.effects.stage_periodic import spacing_deg, steps_of
+from calrig.calibration.effects.stage_periodic import TURN_DEG, spacing_deg, steps_of
 from calrig.calibration.regression.channels import ANGLE, MOVE, READING
 from calrig.calibration.regression.effect import (
     ELEVATION,
@@ -216,6 +216,7 @@ ALTERNATING = "alternating from step to step"
 UNSTEADY = "from pose to pose"
 ALIKE_NEARBY = 0.25
 """Correlation of what poses have next to each other, beyond which it follows the place, and is no error."""
+WAVE_BY_SIDE = "wave, by side"
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
@@ -230,6 +231,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     """Return every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
     if turns(r):
         yield from _of_elevation(r)
+        for period_deg in [at["period"]] if "period" in at else r.known_periods_deg:
+            yield from waves_by_side(r, period_deg)
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
         yield from _of_one(r.temperature_c, "temperature_c", tilted)
     for name, column in r.covariates.items():
@@ -270,6 +273,18 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
         of_stage = partial(turned, r)
         stage = _of_one(r.theta_deg, "target_deg", of_stage, has_knots=r.reference_is_good)
         yield from (replace(shape, form=f"{shape.form}, of the stage") for shape in stage)
+
+
+def waves_by_side(r: Responses, period_deg: float) -> Iterator[Shape]:
+    """Yield what a periodic error differs by from one direction to the other, where both are there.
+
+    The error of a motor under friction or of a worm with play is a wave of another phase each way: their mean
+    is a wave of the angle, and half their difference one that changes sign with the approach.
+    """
+    if r.approach is not None and np.ptp(r.approach) > 0.0:
+        waves = circle(TURN_DEG / period_deg * r.theta_deg, 1) * r.approach[:, None]
+        shape = _shape(tilted(waves), f"approach{TIMES}target_deg", WAVE_BY_SIDE, {"period": period_deg})
+        yield replace(shape, scanned=False)
 
 
 def _unsteady(r: Responses) -> Iterator[Shape]:
@@ -407,6 +422,9 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
         said.append(f"{shape.covariate} went from {column.min():.5g} to {column.max():.5g}{of_unit}")
     if shape.form.endswith(OF_THE_READING):
         said.append("the reading moved and the accelerometer did not: look at what filters the reading")
+    if shape.form == WAVE_BY_SIDE:
+        period = f"{shape.at['period']:.5g}°"
+        said.append(f"half of what the periodic error of {period} differs by from one direction to the other")
     if shape.form == UNSTEADY:
         said.append("readings follow the elevation less from pose to pose: it may have been read with errors")
     if shape.form == ALTERNATING:

@@ -185,7 +185,9 @@ def approach_of(poses: Sequence[Pose]) -> FloatArray | None:
     """(n,) sense of the move to each pose of a run: as given, else that of the motion it was taken in."""
     given = column_of(poses, "approach")
     if given is None and _taken_on_the_move(poses):
-        return np.sign(_derived(poses).mean_dps(SHORTEST_LAG_S))
+        before = np.sign(np.nan_to_num(_steps_deg(poses)))
+        goes_on = before * np.append(before[1:], 0.0) > 0.0  # whatever a smooth motion would do there
+        return np.where(goes_on, before, np.sign(_derived(poses).mean_dps(SHORTEST_LAG_S)))
     return given
 
 
