@@ -113,12 +113,13 @@ def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> l
         """Return each squared distance from 0, per coefficient."""
         return [distance_of(beta[at], covariance[at, at]) / (at.stop - at.start) for at in own]
 
-    covariance = covariance_with_places(model, own, draws=False, parts=False)
-    if draws and min(wald(covariance)) < CLEAR**2:
-        covariance = covariance_with_places(model, own, parts=False)
+    is_drawn = draws and min(wald(covariance_with_places(model, own, draws=False, parts=False))) < CLEAR**2
+    covariance, stated = (
+        covariance_with_places(model, own, draws=is_drawn, parts=parts) for parts in (False, True)
+    )
     return [
         float(fdtrc(at.stop - at.start, freedom, distance))
-        if has_size(candidate, beta[at], covariance[at, at], together=True)
+        if has_size(candidate, beta[at], stated[at, at], together=True)
         else 1.0
         for candidate, at, distance in zip(candidates, own, wald(covariance), strict=True)
     ]

@@ -289,8 +289,8 @@ UNSTABLE = 1e-3
 """Chance that the coefficients of a true effect differ as much between the whole and a part of the poses."""
 ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
-WAVY, FORESEEN = 9, 0.03
-"""Columns of curves that have parts within one block; of the size of a part, what the others must show."""
+WAVY, FORESEEN = 2 * BLOCKS, 0.03
+"""Columns of curves that may be a wave within one block; of the size of a part, what the others must show."""
 KEPT = 16
 """Models whose errors may be asked for again: with all effects, and without each."""
 Intp = npt.NDArray[np.intp]
