@@ -92,7 +92,8 @@ def columns_of(
 ) -> list[Column]:
     """Return each column under the name that it is read as.
 
-    `temperature_k` stays a column of its own, but `target_rad` is converted: nothing else is in its place.
+    `temperature_k` stays a column of its own, but `target_rad` and `time_ms` are converted: nothing else is
+    in their place. `time_min` may be the least time.
 
     Args:
         texts: the names of the header.
@@ -114,8 +115,8 @@ def columns_of(
     for place, column in enumerate(columns):
         suffix = _SUFFIX.fullmatch(normalised(column.text))
         unit = None if suffix is None or column.is_known else unit_of_text(suffix[2])
-        absent = set(required) - {one.name for one in columns}
-        if suffix is not None and unit is not None:
+        absent = {*required, *CLOCK_NAMES}.intersection(known) - {one.name for one in columns}
+        if suffix is not None and unit is not None and suffix[2] != "min":
             columns[place] = _known_by(column.text, suffix[1], unit, absent) or column
     return columns
 
