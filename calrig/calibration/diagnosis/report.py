@@ -290,8 +290,11 @@ def _why(found: SelectedEffect, label: str, behind: float) -> str:
     """Why a candidate was chosen, or lost."""
     if label == found.candidate.label:
         return "the best, not claimed" if found.rivals else "explains these poses best"
-    if label in {rival.label for rival in found.rivals}:
-        return "indistinguishable from it by these poses"
+    rivals = [rival.label for rival in found.rivals]
+    doubts = dict(zip(reversed(rivals), reversed(found.doubts), strict=False))  # of those that came later
+    if label in rivals:
+        worse = "explains these poses worse, but poses taken like these cannot rule it out"
+        return doubts.get(label, worse if behind >= MARGIN else "indistinguishable from it by these poses")
     if behind < MARGIN and label.startswith(UNNAMED):
         return "fits as well, but a cause with a name goes first"
     if behind > FAR_BEHIND:
