@@ -41,7 +41,7 @@ from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEff
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
-from calrig.calibration.effects.unnamed import maximum_words
+from calrig.calibration.effects.unnamed import fitted_words
 from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import ANGLE, CHANNELS, READING, SCALE_UNIT_DEG
@@ -263,7 +263,7 @@ def _document(
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": [
             *_evidence(r, found, candidate),
-            *maximum_words(candidate.shape, parameters),
+            *fitted_words(r, candidate.shape, candidate.columns[:, 0, :] @ beta, parameters),
             *filter(None, [together]),
         ],
         "remedy": words.remedy,
