@@ -202,6 +202,7 @@ def clock_name(text: str, known: Collection[str]) -> bool:
     return "time_s" in known and normalised(bare) in _CLOCKS
 
 
+SAVE_WITH = "save the file with commas, semicolons or tabs"
 NO_NAMES = "the first line holds numbers, and the column names must come before it"
 
 
@@ -249,7 +250,9 @@ def missing_columns(
         texts, last = [column.text for column in columns], found[-1]
         is_data = are_data(texts) and not any(column.is_known for column in columns)
         end = f": {NO_NAMES}" if is_data else f"; {there_are(texts)}"
-        if below is not None:
+        if len(texts) == 1 and not {*required}.isdisjoint(texts[0].split()):
+            end = f"; spaces separate the names: {SAVE_WITH}"
+        elif below is not None:
             end = f"; {there_are(texts)}; or the names are in line {below}: leave out the lines before it"
         found[-1] = CsvError(f"{last.what}{end}", line=line, column=last.column)
     return found

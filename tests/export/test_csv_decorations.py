@@ -279,6 +279,22 @@ def test_what_has_no_one_reading_is_refused_with_every_place(text, places, says)
     assert said.count("; line ") == len(places) - 1
 
 
+def test_rows_that_all_end_in_a_separator_are_read_and_others_refused():
+    poses, _, said, _ = read_run(b"target_deg,reading_deg,load_kg\n1,2,3,\n\n# half\n4,5,,\n7,8,9, \n", "A")
+    assert poses.cells("reading_deg") == [2.0, 5.0, 8.0]
+    assert poses.cells("load_kg") == [3.0, None, 9.0]
+    assert "the rows end in a separator, the names do not: it is left out" in said
+    for rows in (b"1,2,3,\n4,5,6\n", b"1,2,3,\n4,5,6,7\n", b"1,2,3,,\n"):
+        with pytest.raises(CsvError, match="cells where the header has 3"):
+            read_run(b"target_deg,reading_deg,load_kg\n" + rows, "A")
+
+
+@pytest.mark.parametrize("separator", [" ", "   ", ","])
+def test_of_a_table_separated_by_spaces_the_separator_is_said_to_be_wrong(separator):
+    with pytest.raises(CsvError, match=r"spaces separate .*: save the file with commas, semicolons or tabs"):
+        read_run(f"target_deg{separator}reading_deg\n  1.5   2.5\n".encode(), "A")
+
+
 def test_of_very_many_faults_the_first_are_told_and_the_others_counted():
     rows = "".join(f"{k},{'x' if k % 2 else k}\n" for k in range(90_000))
     with pytest.raises(CsvError) as bad:
