@@ -143,6 +143,12 @@ def reading_doubts(content: Document) -> list[Doubt]:
     `content` is of CONTRACT section 6.
     """
     turns = ReadingTurns.of_document(content)
+    if content["effects"] and content["rms_with_effects_deg"] is None:
+        says = (
+            "The curve of bias, scale and accepted effects turns round within the range: there one reading "
+            "stands for several elevations, and none is given."
+        )
+        return [Doubt("ambiguous_readings", says)]
     if turns.single_deg is None:
         return []
     first_deg, last_deg = turns.single_deg

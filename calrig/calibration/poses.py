@@ -170,6 +170,8 @@ influence quantity it would take the place of the scale. Of an angle it is withi
 
 USED_WHOLE = ("temperature_c", "time_s", "approach", "accel_y_g", "accel_z_g", "stage_deg")
 """Columns that are used where every pose has them."""
+FEW = 0.1
+"""Of the poses: if no more lack a column, they are left out, and not the column."""
 
 
 def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str]]:
@@ -189,7 +191,7 @@ def complete(runs: Sequence[Sequence[Pose]]) -> tuple[list[list[Pose]], list[str
     lacking: set[int] = set()
     for name in USED_WHOLE:
         missing = [k for k, pose in enumerate(poses) if getattr(pose, name) is None]
-        if 0 < len(missing) <= 0.1 * len(poses):
+        if 0 < len(missing) <= FEW * len(poses):
             warnings.append(f"{len(missing)} poses have no {name} and were left out")
             lacking.update(missing)
         elif 0 < len(missing) < len(poses):

@@ -92,7 +92,8 @@ def columns_of(
 ) -> list[Column]:
     """Return each column under the name that it is read as.
 
-    `temperature_k` stays a column of its own, but `target_rad` is converted: nothing else is in its place.
+    `temperature_k` stays a column of its own, but `target_rad` and `time_ms` are converted: nothing else is
+    in their place. `time_min` may be the least time.
 
     Args:
         texts: the names of the header.
@@ -114,8 +115,8 @@ def columns_of(
     for place, column in enumerate(columns):
         suffix = _SUFFIX.fullmatch(normalised(column.text))
         unit = None if suffix is None or column.is_known else unit_of_text(suffix[2])
-        absent = set(required) - {one.name for one in columns}
-        if suffix is not None and unit is not None:
+        absent = {*required, *CLOCK_NAMES}.intersection(known) - {one.name for one in columns}
+        if suffix is not None and unit is not None and suffix[2] != "min":
             columns[place] = _known_by(column.text, suffix[1], unit, absent) or column
     return columns
 
@@ -201,6 +202,7 @@ def clock_name(text: str, known: Collection[str]) -> bool:
     return "time_s" in known and normalised(bare) in _CLOCKS
 
 
+SAVE_WITH = "save the file with commas, semicolons or tabs"
 NO_NAMES = "the first line holds numbers, and the column names must come before it"
 
 
@@ -248,7 +250,9 @@ def missing_columns(
         texts, last = [column.text for column in columns], found[-1]
         is_data = are_data(texts) and not any(column.is_known for column in columns)
         end = f": {NO_NAMES}" if is_data else f"; {there_are(texts)}"
-        if below is not None:
+        if len(texts) == 1 and not {*required}.isdisjoint(texts[0].split()):
+            end = f"; spaces separate the names: {SAVE_WITH}"
+        elif below is not None:
             end = f"; {there_are(texts)}; or the names are in line {below}: leave out the lines before it"
         found[-1] = CsvError(f"{last.what}{end}", line=line, column=last.column)
     return found

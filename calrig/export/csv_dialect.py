@@ -11,8 +11,8 @@ import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from calrig.export.csv_columns import MAX_COLUMNS, names_a_known
-from calrig.export.csv_errors import CsvError
+from calrig.export.csv_columns import MAX_COLUMNS, SAVE_WITH, names_a_known
+from calrig.export.csv_errors import CsvError, CsvReport
 
 SEPARATORS: tuple[str, ...] = (",", ";", "\t")
 EXAMINED_BYTES = 1_000_000
@@ -52,7 +52,7 @@ def stated_separator(row: bytes, line: int) -> str | None:
         return None
     separator = stated[1].decode(errors="replace")
     if separator not in SEPARATORS:
-        what = f"says that {separator!r} separates the cells: save the file with commas, semicolons or tabs"
+        what = f"says that {separator!r} separates the cells: {SAVE_WITH}"
         raise CsvError(what, line=line)
     return separator
 
@@ -85,6 +85,31 @@ def has_known(header: bytes, known: Collection[str]) -> bool:
     """Return whether a line has a known name, whatever separates its cells."""
     names = header.decode(errors="replace")
     return any(_n_known(names, sign, known)[0] for sign in SEPARATORS)
+
+
+def name_of_last(rows: bytes, dialect: Dialect, width: int, report: CsvReport) -> list[str]:
+    """Return an empty name for the last cells of rows that all end in a separator, and say so; else none.
+
+    Args:
+        rows: what follows the header row, at most `EXAMINED_BYTES`.
+        dialect: how they are written.
+        width: how many names the header has.
+        report: gets the remark.
+    """
+    whole = rows if len(rows) < EXAMINED_BYTES else rows[: rows.rfind(b"\n") + 1]
+    text = _COMMENTS.sub(b"", whole).decode(errors="replace")
+    cells = csv.reader(io.StringIO(text, newline=""), delimiter=dialect.separator)
+    has_rows = False
+    try:
+        for row in filter(None, cells):
+            if len(row) != width + 1 or row[-1].strip():
+                return []
+            has_rows = True
+    except csv.Error:  # it is told where rows are read
+        return []
+    if has_rows:
+        report.say("the rows end in a separator, the names do not: it is left out")
+    return [""] * has_rows
 
 
 def _n_known(header: str, separator: str, known: Collection[str]) -> tuple[int, int]:

@@ -12,12 +12,16 @@ _MOST_KEPT = 1000
 
 
 class CsvError(ValueError):
-    """The file cannot be read: `line` (from 1, with the header) and `column` are at fault, or None."""
+    """The file cannot be read: `line` (from 1, with the header) and `column` are at fault, or None.
+
+    `of` are the first of several faults, and how many there are; None of a single one.
+    """
 
     def __init__(self, what: str, *, line: int | None = None, column: str | None = None) -> None:
         self.what = what
         self.line = line
         self.column = column
+        self.of: tuple[Sequence[CsvError], int] | None = None
         place = [f"line {line}"] if line is not None else []
         place += [f"column {shortened(column)}"] if column is not None else []
         super().__init__(f"{', '.join(place)}: {what}" if place else what)
@@ -30,7 +34,7 @@ class CsvError(ValueError):
             return first
         more = [f"and {n - len(faults)} more"] if n > len(faults) else []
         whole = cls("; ".join([first.what, *map(str, others), *more]), line=first.line, column=first.column)
-        whole.what = first.what
+        whole.what, whole.of = first.what, (faults, n)
         return whole
 
 
@@ -66,6 +70,11 @@ class CsvReport:
         if len(self._faults) > _MOST_KEPT:
             self._faults = sorted(self._faults, key=_line)[:MOST_SHOWN]
 
+    def forgive(self) -> None:
+        """Take back all faults."""
+        self._faults.clear()
+        self._n_faults = 0
+
     def say(self, sentence: str) -> None:
         """Add a remark on the whole file."""
         self._said.append(sentence)
@@ -92,7 +101,9 @@ class CsvReport:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if isinstance(error, CsvError):
-            self.add_fault(error)
+            faults, n = error.of or ([error], 1)
+            self._faults = [*faults, *self._faults]
+            self._n_faults += n
         elif error is not None:
             return
         if self._faults:

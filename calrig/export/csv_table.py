@@ -23,6 +23,7 @@ from calrig.export.csv_columns import (
     MAX_COLUMNS,
     MAX_NAME_CHARACTERS,
     NUMBER,
+    SAVE_WITH,
     Column,
     are_data,
     clock_name,
@@ -39,6 +40,7 @@ from calrig.export.csv_dialect import (
     Dialect,
     dialect_of,
     has_known,
+    name_of_last,
     stated_separator,
 )
 from calrig.export.csv_errors import CsvError, CsvReport, shortened
@@ -114,9 +116,8 @@ class Cells:
     def _unusual(self, text: str, line: int, report: CsvReport) -> float | None:
         """A cell that is not simply a number."""
         if text.lower() in _NOT_AVAILABLE:
-            report.count(
-                f"cells with {text} are read as not known", f"line {line}, column {self.column.text}"
-            )
+            where = f"line {line}, column {self.column.text}"
+            report.count(f"cells with {text} are read as not known", where)
             return None
         parts = _WITH_UNIT.fullmatch(text)
         unit = unit_of_text(parts[2]) if parts is not None else None
@@ -312,9 +313,9 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
         raise CsvError(f"a name has at most {MAX_NAME_CHARACTERS} characters", line=header.line)
     dialect = dialect_of(header.text, rows, known, separators)
     texts = [from_spreadsheet(name.strip()) for name in _cells(header, dialect)]
+    texts += name_of_last(rows, dialect, len(texts), report)
     if len(texts) > MAX_COLUMNS:
-        what = f"the header has {len(texts)} columns; at most {MAX_COLUMNS} are read"
-        raise CsvError(what, line=header.line)
+        raise CsvError(f"has {len(texts)} columns; at most {MAX_COLUMNS} are read", line=header.line)
     begin, first_line, units = header.end, header.line + 1, None
     second = _next_row(data, begin, first_line)
     if _is_of_units(second, dialect, len(texts)):
@@ -517,6 +518,8 @@ def read_rows(
     for line, row in _parsed(data, first, first_line, layout, progress):
         if len(row) != width:
             hint = " (decimals are written with a point)" if len(row) == 2 * width else ""
+            if len(row) == 1 and len(row[0].split()) == width:
+                hint = f" (spaces separate its cells: {SAVE_WITH})"
             what = f"has {len(row)} cells where the header has {width}{hint}"
             layout.report.add_fault(CsvError(what, line=line))
             continue
@@ -546,9 +549,8 @@ def _parsed(
                 lines.since_row = 0
                 yield lines.number - 1, row
     except csv.Error as error:
-        raise CsvError(
-            f"is not CSV ({shortened(str(error))})", line=max(lines.number - 1, first_line)
-        ) from error
+        line = max(lines.number - 1, first_line)
+        raise CsvError(f"is not CSV ({shortened(str(error))})", line=line) from error
 
 
 class _Lines:
@@ -585,10 +587,8 @@ class _Lines:
             self.is_in_row = True
             self.since_row += len(line)
             if self.since_row > MAX_ROW_CHARACTERS:
-                raise CsvError(
-                    f"the row, with blank lines before it, is longer than {MAX_ROW_CHARACTERS} characters",
-                    line=self.number - 1,
-                )
+                what = f"the row, with blank lines before it, is longer than {MAX_ROW_CHARACTERS} characters"
+                raise CsvError(what, line=self.number - 1)
             yield line
 
     def _next_line(self) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast, get_args, overload
 
-from calrig.calibration.poses import COLUMNS, HOST_TIME, INTEGER, MOUNT_DEG, OF_MOUNTS, REQUIRED, Pose
+from calrig.calibration.poses import COLUMNS, FEW, HOST_TIME, INTEGER, MOUNT_DEG, OF_MOUNTS, REQUIRED, Pose
 from calrig.calibration.separation import FACES, MountedPoses
 from calrig.export.csv_dialect import csv_text
 from calrig.export.csv_errors import CsvError, CsvReport
@@ -111,7 +111,45 @@ class Texts:
 def read_labelled_columns(
     data: bytes, labels: Sequence[str], progress: Callable[[float], None] | None = None
 ) -> tuple[PoseColumns, dict[str, Texts], list[str]]:
-    """Return columns of numbers and of text, in the order of the file, and how they were read."""
+    """Return columns of numbers and of text, in the order of the file, and how they were read.
+
+    Few rows that lack an angle or a reading are left out; more are refused.
+    """
+    with CsvReport() as unknown:
+        columns, texts, report = _columns_of(data, labels, unknown, progress)
+        angles, readings = (next(c.cells for c in columns if c.name == name) for name in REQUIRED)
+        is_whole = [not math.isnan(angle + reading) for angle, reading in zip(angles, readings, strict=True)]
+        lacking = is_whole.count(False)
+        if lacking <= FEW * len(is_whole):
+            unknown.forgive()
+    warnings: list[str] = []
+    if lacking:
+        warnings.append(f"{lacking} of {len(is_whole)} rows lack {' or '.join(REQUIRED)} and are left out")
+    kept = {}
+    for place, column in enumerate(columns):
+        if column.name in texts:
+            continue
+        if why := column.why_left_out():
+            warnings.append(f"column {column.name or place + 1}: {why}; left out")
+        else:
+            kept[column.name] = array("d", itertools.compress(column.cells, is_whole))
+            report.take(column.remarks)
+    whole = {
+        name: Texts(
+            list(itertools.compress(one.texts, is_whole)), list(itertools.compress(one.lines, is_whole))
+        )
+        for name, one in texts.items()
+    }
+    return PoseColumns(kept), whole, [*report.notes(), *warnings]
+
+
+def _columns_of(
+    data: bytes,
+    labels: Sequence[str],
+    unknown: CsvReport,
+    progress: Callable[[float], None] | None,
+) -> tuple[list[_Column], dict[str, Texts], CsvReport]:
+    """Return all columns of a file; blank angles and readings are faults in the report `unknown`."""
     columns: list[_Column] = []
     texts: dict[str, Texts] = {}
     report = CsvReport()
@@ -128,18 +166,8 @@ def read_labelled_columns(
                     said.texts.extend(from_spreadsheet(text.strip()) for text in cells.texts)
                 said.lines.extend(cells.lines)
             else:
-                column.take(table.column(place), report)
-    warnings: list[str] = []
-    kept = {}
-    for place, column in enumerate(columns):
-        if column.name in texts:
-            continue
-        if why := column.why_left_out():
-            warnings.append(f"column {column.name or place + 1}: {why}; left out")
-        else:
-            kept[column.name] = column.cells
-            report.take(column.remarks)
-    return PoseColumns(kept), texts, [*report.notes(), *warnings]
+                column.take(table.column(place), report, unknown)
+    return columns, texts, report
 
 
 def write_poses(poses: Sequence[Pose], labels: Callable[[Pose], Labels] | None = None) -> str:
@@ -185,13 +213,13 @@ class _Column:
         self.remarks = CsvReport()
         self._why_not = "" if name else "has no name"
 
-    def take(self, cells: Cells, report: CsvReport) -> None:
-        """Add the next cells; what a column of the contract cannot hold is a fault in the report."""
+    def take(self, cells: Cells, report: CsvReport, unknown: CsvReport) -> None:
+        """Add the next cells; what a column of the contract cannot hold is a fault in a report."""
         if self._why_not:
             return
         if self.name in (*COLUMNS, MOUNT_DEG):
             values = cells.numbers(report)
-            _check(cells, values, report)
+            _check(cells, values, report, unknown)
         else:
             values = cells.numbers(self.remarks)
         if self.remarks.has_faults:
@@ -207,11 +235,11 @@ class _Column:
         return self._why_not
 
 
-def _check(cells: Cells, values: Sequence[float | None], report: CsvReport) -> None:
-    """Report what a column of the contract cannot hold."""
+def _check(cells: Cells, values: Sequence[float | None], report: CsvReport, unknown: CsvReport) -> None:
+    """Report what a column of the contract cannot hold, and what is blank in one that must not be."""
     name = cells.column.name
     if name in REQUIRED:
-        cells.refuse(values, lambda value: value is None, "is not known, and a pose needs it", report)
+        cells.refuse(values, lambda value: value is None, "is not known, and a pose needs it", unknown)
     if name == "approach":
         cells.refuse(values, lambda value: value not in {None, -1.0, 0.0, 1.0}, "is none of -1, 0, 1", report)
     elif name in INTEGER:

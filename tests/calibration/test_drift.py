@@ -41,6 +41,14 @@ def test_a_drift_while_the_targets_go_once_along_the_range_is_called_one_with_it
     assert found["final"]["fit_rms_deg"] <= 1.2 * NOISE_DEG
 
 
+def test_a_rival_that_fits_far_worse_is_not_called_indistinguishable():
+    (effect,) = found_in(drifting(np.linspace(-150.0, 150.0, 60)))["effects"]
+    assert effect["confusable_with"] == ["stage_eccentricity"]
+    (rival,) = (one for one in effect["considered"] if one["name"] == "stage_eccentricity")
+    assert rival["behind"] > 10.0
+    assert rival["why"] == "explains these poses worse, but poses taken like these cannot rule it out"
+
+
 def test_a_curved_drift_of_targets_in_random_order_is_named_with_its_coefficients():
     target_deg = np.random.default_rng(5).permutation(np.linspace(-40.0, 40.0, 60))
     poses = drifting(target_deg)

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from support import DATA
 
+from calrig.analysis.known_calibration import reading_doubts
 from calrig.calibration.line import Line
 from calrig.calibration.poses import Pose
+from calrig.calibration.results.correction import own_effect
 from calrig.calibration.results.pose_errors import residuals
 from calrig.calibration.results.result import RELATIVE, apply_calibration, build_result
 from calrig.calibration.uncertainty.budget import Reference
 from calrig.calibration.uncertainty.doubts import pose_doubts
+from calrig.export.calibration_document import calibration_content
 from calrig.model.result import Gyro
 
 
@@ -238,3 +241,34 @@ def test_errors_with_a_curve_are_of_the_elevation_that_solves_it():
     assert np.std(at_the_end) > 2 * noise_deg, "there a reading grows by a third of a degree per degree"
     type_a_deg = fitted.expanded_uncertainty_deg / fitted.coverage_factor
     assert type_a_deg == pytest.approx(result.rms_with_effects_deg, rel=0.1)
+
+
+def waves(amplitude_deg):
+    """Two turns of an encoder with a wave of 30° and much noise: poses, effects, true amplitude."""
+    theta = np.arange(0.0, 720.0, 1.7)
+    reading = theta + amplitude_deg * np.sin(np.radians(12.0 * theta))
+    reading += np.random.default_rng(4).normal(0.0, 0.5, len(theta))
+    poses = [Pose(float(at), float(read)) for at, read in zip(theta, reading, strict=True)]
+    values = {"amplitude_deg": amplitude_deg, "period_deg": 30.0, "phase_deg": 0.0}
+    return poses, [own_effect("stage_periodic", values)]
+
+
+def test_where_a_curve_is_steep_errors_are_of_the_elevation_whose_reading_it_is():
+    poses, effects = waves(4.0)
+    result = build_result(poses, effects=effects)
+    line = result.line_with_effects
+    grid = np.arange(-20.0, 740.0, 0.001)
+    curve = line.bias_deg + line.scale * grid + 4.0 * np.sin(np.radians(12.0 * grid))
+    assert (np.diff(curve) > 0.0).all()
+    error_deg = [np.interp(pose.reading_deg, curve, grid) - pose.target_deg for pose in poses]
+    assert result.rms_with_effects_deg == pytest.approx(np.sqrt(np.mean(np.square(error_deg))), rel=1e-4)
+
+
+def test_a_curve_that_turns_round_has_no_error_of_an_elevation_and_is_not_released_by_itself():
+    poses, effects = waves(8.0)
+    result = build_result(poses, effects=effects)
+    content = calibration_content(unit="A", rig=None, poses=poses, result=result)
+    content["effects"] = [{"name": name, "parameters": values} for name, values in effects]
+    assert result.rms_with_effects_deg is None
+    (doubt,) = reading_doubts(content)
+    assert (doubt.kind, "turns round" in doubt.says) == ("ambiguous_readings", True)

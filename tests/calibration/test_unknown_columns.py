@@ -66,6 +66,18 @@ def test_an_angle_is_a_circle_and_where_it_is_largest_is_told():
     assert any("°" in said and "azimuth_deg went from" in said for said in effect["evidence"])
 
 
+@pytest.mark.parametrize(
+    ("deg_per_unit", "column", "unit"), [(-0.013, "tilt_deg", "°"), (0.02, "lamp", "unit of lamp")]
+)
+def test_a_straight_line_is_told_with_the_sign_of_its_slope(deg_per_unit, column, unit):
+    at = np.random.default_rng(6).uniform(-10.0, 10.0, N)
+    _, (effect,) = found_in(run_with(deg_per_unit * (at - 3.0), **{column: at}))
+    (told,) = (said for said in effect["evidence"] if said.startswith("the reading changes by "))
+    value, _, rest = told.removeprefix("the reading changes by ").replace("−", "-").partition(" ± ")
+    assert float(value) == pytest.approx(deg_per_unit, abs=0.001)
+    assert rest.endswith(f"° per {unit}")
+
+
 def test_an_arc_is_what_the_widest_gap_leaves_of_the_circle():
     assert covered(np.array([350.0, 5.0, 20.0])) == pytest.approx(30.0)
     assert covered(np.array([-170.0, 170.0])) == pytest.approx(20.0)

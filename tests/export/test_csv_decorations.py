@@ -210,6 +210,10 @@ def test_decorated_tables_give_the_arrays_of_the_plain_one(names, read, decorati
             "1,2,5.1 V,-90°",
             {"supply_v": 5.1, "azimuth_deg": -90.0},
         ),
+        ("target_deg,reading_deg,time_ms", "1,2,1500", {"time_s": 1.5, "time_ms": None}),
+        ("target_deg,reading_deg,TimeUs", "1,2,1500", {"time_s": 1.5e-3}),
+        ("Target_deg,reading_deg,time_ms,time_s", "1,2,1500,7", {"time_s": 7.0, "time_ms": 1500.0}),
+        ("Target_deg,reading_deg,time_min", "1,2,1.5", {"time_s": None, "time_min": 1.5}),
         ("target_deg,reading_deg,temperature_k", "1,2,300", {"temperature_k": 300.0, "temperature_c": None}),
         ("# bench\n# target_deg,reading_deg", "1,2", {"target_deg": 1.0, "reading_deg": 2.0}),
     ],
@@ -273,6 +277,22 @@ def test_what_has_no_one_reading_is_refused_with_every_place(text, places, says)
         assert f"column {column}" in said or column is None
     assert all(words in said for words in says), said
     assert said.count("; line ") == len(places) - 1
+
+
+def test_rows_that_all_end_in_a_separator_are_read_and_others_refused():
+    poses, _, said, _ = read_run(b"target_deg,reading_deg,load_kg\n1,2,3,\n\n# half\n4,5,,\n7,8,9, \n", "A")
+    assert poses.cells("reading_deg") == [2.0, 5.0, 8.0]
+    assert poses.cells("load_kg") == [3.0, None, 9.0]
+    assert "the rows end in a separator, the names do not: it is left out" in said
+    for rows in (b"1,2,3,\n4,5,6\n", b"1,2,3,\n4,5,6,7\n", b"1,2,3,,\n"):
+        with pytest.raises(CsvError, match="cells where the header has 3"):
+            read_run(b"target_deg,reading_deg,load_kg\n" + rows, "A")
+
+
+@pytest.mark.parametrize("separator", [" ", "   ", ","])
+def test_of_a_table_separated_by_spaces_the_separator_is_said_to_be_wrong(separator):
+    with pytest.raises(CsvError, match=r"spaces separate .*: save the file with commas, semicolons or tabs"):
+        read_run(f"target_deg{separator}reading_deg\n  1.5   2.5\n".encode(), "A")
 
 
 def test_of_very_many_faults_the_first_are_told_and_the_others_counted():

@@ -13,7 +13,7 @@ from support import DATA
 from calrig.calibration.poses import COLUMNS, Pose
 from calrig.export import csv_table
 from calrig.export.csv_errors import CsvError
-from calrig.export.poses_csv import read_poses, read_run, write_poses
+from calrig.export.poses_csv import read_labelled_columns, read_poses, read_run, write_poses
 
 number = st.floats(-1e30, 1e30, allow_nan=False)
 count = st.integers(0, 2**53)
@@ -285,3 +285,21 @@ def test_the_angle_of_the_mount_turns_the_elevation_modulo_a_turn():
     text = "target_deg,stage_deg,reading_deg,mount_deg\n10,10.5,1,350\n20,,2,120\n30,30.1,3,\n"
     poses = read_poses(text.encode()).poses
     assert [pose.theta_deg for pose in poses] == pytest.approx([0.5, 140.0, 30.1])
+
+
+def test_few_rows_without_a_reading_are_left_out_and_counted_and_more_are_refused():
+    rows = [f"{k},{k + 0.5},m{k},{2 * k}" for k in range(40)]
+    rows[3], rows[20], rows[21] = "3,,m3,6", "20,nan,m20,40", ",21.5,m21,42"
+    text = "\n".join(["target_deg,reading_deg,mount,load_kg", *rows])
+    poses, texts, said = read_labelled_columns(text.encode(), ["mount"])
+    kept = [k for k in range(40) if k not in {3, 20, 21}]
+    assert poses.cells("target_deg") == kept
+    assert poses.cells("load_kg") == [2.0 * k for k in kept]
+    assert texts["mount"].texts == [f"m{k}" for k in kept]
+    assert said == ["3 of 40 rows lack target_deg or reading_deg and are left out"]
+
+    rows[4:6] = ["4,,m4,8", "5,,m5,10"]
+    text = "\n".join(["target_deg,reading_deg,mount,load_kg", *rows])
+    with pytest.raises(CsvError, match="line 5, column reading_deg: '' is not known, and a") as refused:
+        read_labelled_columns(text.encode(), ["mount"])
+    assert "line 23, column target_deg" in str(refused.value)

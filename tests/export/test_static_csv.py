@@ -94,6 +94,11 @@ def test_a_bad_log_is_told_by_line_and_column(data, line, column, says):
     assert (bad.value.line, bad.value.column) == (line, column)
 
 
+def test_time_in_another_unit_at_the_end_of_its_name_is_converted():
+    log = read_static(b"time_ms,accel_x_g\n250,0\n500,1\n")
+    assert log.time_s.tolist() == [0.25, 0.5]
+
+
 def test_gravity_needs_all_three_axes():
     with pytest.raises(CsvError, match="column accel_z_g: there is no such column"):
         accel_g_of(read_static(b"accel_x_g,accel_y_g\n0,1\n"))

@@ -36,11 +36,11 @@ from calrig.calibration.regression.run_changes import with_free_levels
 from calrig.calibration.results.correction import (
     AppliedEffect,
     effects_on_reading_deg,
+    elevation_errors_deg,
     felt_elevation_deg,
     fit_line_with_effects,
     numbers_of,
     own_effect,
-    unit_slopes,
 )
 from calrig.calibration.results.pose_errors import angles_deg, circumstances
 from calrig.estimation.angles import FloatArray
@@ -264,11 +264,10 @@ class _TestedRun:
             theta_deg = self.theta_deg[test]
             felt_deg = felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
             added_deg = effects_on_reading_deg(effects, theta_deg, asked, felt_deg)
-            slopes = unit_slopes(theta_deg, line, effects, asked)
         except ApplyError as error:
             raise DiagnosisError(str(error)) from error
         left_deg = residuals_deg(theta_deg, self.reading_deg[test] - added_deg, line.bias_deg, line.scale)
-        return left_deg * (line.scale or 1.0) / slopes
+        return elevation_errors_deg(theta_deg, left_deg * (line.scale or 1.0), line, effects, asked)
 
 
 def _problem(runs: Sequence[RunOfEffects], effects: Sequence[AppliedEffect]) -> _Problem:

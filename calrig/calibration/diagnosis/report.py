@@ -41,7 +41,7 @@ from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEff
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
-from calrig.calibration.effects.unnamed import maximum_words
+from calrig.calibration.effects.unnamed import fitted_words
 from calrig.calibration.line import fit_line, residuals_deg
 from calrig.calibration.poses import DiagnosisError, Pose
 from calrig.calibration.regression.channels import ANGLE, CHANNELS, READING, SCALE_UNIT_DEG
@@ -277,7 +277,7 @@ def _document(
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": [
             *_evidence(r, found, candidate),
-            *maximum_words(candidate.shape, parameters),
+            *fitted_words(r, candidate.shape, candidate.columns[:, 0, :] @ beta, parameters),
             *filter(None, [together]),
         ],
         "remedy": words.remedy,
@@ -304,8 +304,11 @@ def _why(found: SelectedEffect, label: str, behind: float) -> str:
     """Why a candidate was chosen, or lost."""
     if label == found.candidate.label:
         return "the best, not claimed" if found.rivals else "explains these poses best"
-    if label in {rival.label for rival in found.rivals}:
-        return "indistinguishable from it by these poses"
+    rivals = [rival.label for rival in found.rivals]
+    doubts = dict(zip(reversed(rivals), reversed(found.doubts), strict=False))  # of those that came later
+    if label in rivals:
+        worse = "explains these poses worse, but poses taken like these cannot rule it out"
+        return doubts.get(label, worse if behind >= MARGIN else "indistinguishable from it by these poses")
     if behind < MARGIN and label.startswith(UNNAMED):
         return "fits as well, but a cause with a name goes first"
     if behind > FAR_BEHIND:

@@ -7,6 +7,7 @@ in the model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -45,6 +46,7 @@ from calrig.calibration.regression.terms import (
     turned,
     turns,
 )
+from calrig.estimation.angle_text import number_text
 from calrig.estimation.angles import FloatArray
 
 UNITS = {
@@ -435,13 +437,24 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
     return said
 
 
-def maximum_words(shape: Shape, stated: Documents) -> list[str]:
-    """Return where the fitted circle is largest, a sentence in a list; empty for every other shape."""
-    at = stated.get("at")
-    if shape.form != CIRCLE or at is None:
+def fitted_words(r: Responses, shape: Shape, added_deg: FloatArray, stated: Documents) -> list[str]:
+    """Return where a circle is largest, or the slope of a straight line, a sentence in a list; else none.
+
+    Args:
+        r: the poses.
+        shape: what was fitted.
+        added_deg: (n,) what it adds to their readings.
+        stated: its parameters in a document.
+    """
+    at, unit = stated.get("at"), unit_of_column(shape.covariate)
+    if shape.form == CIRCLE and at is not None:
+        return [f"maximum at {at['value']:.1f}{unit if unit == '°' else f' {unit}'.rstrip()}"]
+    column, size = r.covariates.get(shape.covariate), stated.get("size_deg")
+    if column is None or size is None or not shape.form.startswith("linear"):
         return []
-    unit = unit_of_column(shape.covariate)
-    return [f"maximum at {at['value']:.1f}{unit if unit == '°' else f' {unit}'.rstrip()}"]
+    slope = math.copysign(1.0 / float(np.ptp(column)), float((column - column.mean()) @ added_deg))
+    words = number_text(slope * (size["value"] or 0.0), abs(slope) * (size["std"] or 0.0), 3, "°")
+    return [f"the reading changes by {words} per {unit or f'unit of {shape.covariate}'}"]
 
 
 def _curve(parameters: Parameters) -> SplineCurve:

@@ -148,13 +148,36 @@ def slope_of_reading(
 def unit_slopes(
     theta_deg: FloatArray, line: Line, effects: Sequence[AppliedEffect], given: Circumstances
 ) -> FloatArray:
-    """Return (n,) the unit's `slope_of_reading`, NaN where a curve turns it round.
+    """Return (n,) the unit's `slope_of_reading`; effects of the stage move the unit, and change none."""
+    return slope_of_reading(theta_deg, line.bias_deg, line.scale, _of_unit(effects), given)
 
-    `line` follows the stage. Effects of the stage move the unit, and change nothing about this.
+
+def elevation_errors_deg(
+    theta_deg: FloatArray,
+    left_deg: FloatArray,
+    line: Line,
+    effects: Sequence[AppliedEffect],
+    given: Circumstances,
+) -> FloatArray:
+    """Return (n,) the elevations that `calibrated_elevation_deg` gives for readings, less θ.
+
+    Effects of the stage are taken out at θ, which they lead to; those of the unit at the elevation itself.
+
+    Args:
+        theta_deg: (n,) elevations of the stage.
+        left_deg: (n,) what line and effects leave of each reading there, on the turn of the stage.
+        line: bias and scale.
+        effects: of the unit and of the stage.
+        given: what the effects follow.
     """
-    of_unit = [one for one in effects if effect_of(one[0]).scope == "unit" or OF_SENSOR in one[1]]
-    slope = slope_of_reading(theta_deg, line.bias_deg, line.scale, of_unit, given)
-    return np.where(slope * (line.scale or 1.0) > 0.0, slope, np.nan)
+    of_unit, felt_deg = _of_unit(effects), felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
+    added_deg = effects_on_reading_deg(of_unit, theta_deg, given, felt_deg)
+    aim_deg = felt_deg - line.bias_deg + added_deg + left_deg
+    return _solved_deg(aim_deg, line.bias_deg, line.scale, of_unit, given) - theta_deg
+
+
+def _of_unit(effects: Sequence[AppliedEffect]) -> list[AppliedEffect]:
+    return [one for one in effects if effect_of(one[0]).scope == "unit" or OF_SENSOR in one[1]]
 
 
 def calibrated_elevation_deg(
@@ -187,14 +210,25 @@ def calibrated_elevation_deg(
     if abs(factor) < MIN_SCALE:
         raise ApplyError(f"the scale is {factor:g}: the reading does not follow the elevation")
     aim = (turns or ReadingTurns(bias_deg, factor, range_deg)).aim_deg(reading_deg)
+    return _solved_deg(aim, bias_deg, scale, effects, given)
+
+
+def _solved_deg(
+    aim: FloatArray,
+    bias_deg: float,
+    scale: float | None,
+    effects: Sequence[AppliedEffect],
+    given: Circumstances | None,
+) -> FloatArray:
+    """Return (n,) the θ with aim = scale·θ + effects(θ), NaN where there is none or more than one."""
+    factor = 1.0 if scale is None else scale
     theta = aim / factor
     stands_for_many = np.isnan(aim)
-
     for _ in range(ITERATIONS):
         felt_deg = felt_elevation_deg(theta, bias_deg, scale)
         here = factor * theta + effects_on_reading_deg(effects, theta, given, felt_deg)
         slope = slope_of_reading(theta, bias_deg, scale, effects, given)
-        stands_for_many |= slope / factor <= 0.0
+        stands_for_many |= slope * factor <= 0.0
         step = np.where(stands_for_many, 0.0, (aim - here) / np.where(stands_for_many, 1.0, slope))
         theta = theta + step
         moving = np.abs(step) > CONVERGED_DEG

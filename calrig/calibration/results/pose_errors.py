@@ -24,10 +24,10 @@ from calrig.calibration.regression.motion import (
 from calrig.calibration.results.correction import (
     AppliedEffect,
     effects_on_reading_deg,
+    elevation_errors_deg,
     error_on_vector_g,
     felt_elevation_deg,
     fit_line_with_effects,
-    unit_slopes,
 )
 from calrig.estimation.angles import FloatArray, wrap_deg
 
@@ -72,16 +72,16 @@ def corrected_residuals_deg(
 ) -> FloatArray:
     """Return (n,) calibrated elevation of each pose, effects taken out, less the stage's.
 
-    What is left of a reading is divided by its slope there, as the unit's own curves make it. NaN where the
-    scale is smaller than `MIN_SCALE`, and where a curve turns the slope round: one reading stands for many
-    elevations.
+    NaN where the scale is smaller than `MIN_SCALE`, and where a curve of the unit turns round, so that one
+    reading stands for many elevations.
 
     Raises:
         ApplyError: the poses lack what an effect is a function of.
     """
     theta, _ = angles_deg(poses)
     given = circumstances(poses)
-    return readings_left_deg(poses, line, effects, given) / unit_slopes(theta, line, effects, given)
+    left_deg = readings_left_deg(poses, line, effects, given)
+    return elevation_errors_deg(theta, left_deg, line, effects, given)
 
 
 def readings_left_deg(

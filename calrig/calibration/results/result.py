@@ -20,7 +20,6 @@ from calrig.calibration.results.pose_errors import (
     corrected_residuals_deg,
     nominal_deg,
     raw_error_deg,
-    readings_left_deg,
     without_effects_deg,
 )
 from calrig.calibration.uncertainty.budget import over_range, reference_figures
@@ -204,13 +203,13 @@ def _line_with_effects(
     given = circumstances(poses)
     try:
         line = fit_line_with_effects(theta, reading, effects, given)
-        slopes = unit_slopes(theta, line, effects, given)
-        left_deg = readings_left_deg(poses, line, effects, given)
+        error_deg = corrected_residuals_deg(poses, line, effects)
+        slopes = unit_slopes(theta + error_deg, line, effects, given)
     except ApplyError:
         return None
-    if not line.follows or np.isnan(slopes).any():
-        return line, np.full(len(left_deg), math.nan)
-    return replace(line, slope=1.0 / rms(1.0 / slopes)), left_deg / slopes
+    if not line.follows or np.isnan(error_deg).any():
+        return line, np.full(len(error_deg), math.nan)
+    return replace(line, slope=1.0 / rms(1.0 / slopes)), error_deg
 
 
 def _with_fewer_degrees(line: Line, n_poses: int, fitted: int) -> Line:

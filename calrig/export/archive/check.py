@@ -161,10 +161,10 @@ FIGURES = (
     "scale",
     "rms_raw_deg",
     "rms_calibrated_deg",
-    "rms_with_effects_deg",
     "temperature_c",
 )
-"""What follows from poses and effects alone. Uncertainty and covariance are as its program had them."""
+"""What follows from poses and effects alone. Uncertainty, covariance and RMS with effects are as its program
+had them: the latter was once by the slope of the curve, which is another figure where the curve is steep."""
 Tolerance = tuple[float, float]
 """Relative and absolute difference that rounding may cause."""
 EXACT, FITTED, SOLVED = (0.0, 0.0), (1e-6, 1e-9), (1e-4, 1e-6)
