@@ -185,7 +185,12 @@ def approach_of(poses: Sequence[Pose]) -> FloatArray | None:
     """(n,) sense of the move to each pose of a run: as given, else that of the motion it was taken in."""
     given = column_of(poses, "approach")
     if given is None and _taken_on_the_move(poses):
-        return np.sign(_derived(poses).mean_dps(SHORTEST_LAG_S))
+        before = np.sign(_steps_deg(poses))
+        in_stroke = before == np.append(
+            before[1:], before[-1:]
+        )  # there a cubic of uneven steps may swing back
+        turning = np.sign(_derived(poses).mean_dps(SHORTEST_LAG_S))
+        return np.where(in_stroke & (before != 0.0), before, turning)
     return given
 
 
