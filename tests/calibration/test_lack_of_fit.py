@@ -68,6 +68,25 @@ def test_neighbours_of_a_stroke_in_small_steps_are_no_revisits() -> None:
     assert held(residual_deg, targets_deg=np.linspace(0.0, 0.4, len(TARGETS_DEG))).repeat is None
     twice_deg = np.repeat(np.linspace(0.0, 0.4, len(TARGETS_DEG) // 2), 2)
     assert held(residual_deg, targets_deg=twice_deg).repeat is not None
+    to_and_fro_deg = 0.01 * np.arange(len(TARGETS_DEG)) + 0.031 * (np.arange(len(TARGETS_DEG)) % 2)
+    assert held(residual_deg, targets_deg=to_and_fro_deg).repeat is None
+
+
+@pytest.mark.parametrize("strokes", [2, 4])
+def test_poses_passed_from_opposite_sides_on_the_move_are_no_revisits(strokes: int) -> None:
+    """At uneven places, which a smooth curve through them overshoots: the sense is that of the stroke."""
+    places_deg = np.sort(np.random.default_rng(11).uniform(0.0, 100.0, 60))
+    sense = np.repeat(np.resize([1.0, -1.0], strokes), len(places_deg))
+    targets_deg = np.concatenate([places_deg[:: int(one)] for one in sense[:: len(places_deg)]])
+    residual_deg = 0.1 * sense + np.random.default_rng(12).normal(0.0, NOISE_DEG, len(sense))
+    run = posed(target_deg=targets_deg, reading_deg=residual_deg, time_s=0.5 * np.arange(len(sense)))
+    free = np.zeros(len(run), dtype=bool)
+    lack = lack_of_fit([run], residual_deg, free, parameters=2, lag1_correlation=0.9, rounding_deg=0.0)
+    if strokes == 2:
+        assert lack.pure is None
+    else:
+        assert lack.pure is not None
+        assert lack.pure.std_deg == pytest.approx(NOISE_DEG, rel=0.3)
 
 
 def experiment(lack: LackOfFit, *, temperature: bool = True) -> str:

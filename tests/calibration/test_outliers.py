@@ -58,6 +58,23 @@ def test_a_pose_that_went_wrong_hides_no_effect_and_is_none() -> None:
     assert 30 not in findings.kept
 
 
+@pytest.mark.parametrize(
+    ("wrong_deg", "are_left_out"), [([-0.33, 0.28], True), ([0.33, -0.28, 0.2, -0.17], False)]
+)
+def test_poses_clear_of_all_others_are_left_out_and_a_tail_that_thins_out_stays(
+    wrong_deg: list[float], are_left_out: bool
+) -> None:
+    """Nine to eleven standard deviations off: in the tail the next ones lie at half of that."""
+    error = 0.3 * np.arange(N_POSES) / N_POSES
+    wrong = np.array([30, 81, 55, 104])[: len(wrong_deg)]
+    error[wrong] += wrong_deg
+    findings = searched(run_of(anywhere(7), error, seed=7))
+    assert [f.candidate.name for f in findings.found] == ["time_drift"]
+    assert set(range(N_POSES)) - set(findings.kept.tolist()) == (
+        set(wrong.tolist()) if are_left_out else set()
+    )
+
+
 def passes(count: int, poses: int = 200) -> np.ndarray:
     up = np.linspace(0.0, 40.0, poses)
     return np.concatenate([up if k % 2 == 0 else up[::-1] for k in range(count)])

@@ -129,6 +129,20 @@ def test_a_worm_between_the_steps_of_an_exact_grid_is_one_of_a_set_the_longest_f
     assert longest_but_one == pytest.approx(9.0, abs=0.05)
 
 
+def test_one_pose_off_a_nearly_even_spacing_does_not_make_a_wave_its_alias():
+    """Every 2° a wave of 55.5° is one of 2.0748°, from which only the pose a fifth of a step off tells it."""
+    rng = np.random.default_rng(8)
+    targets, wave = 2.0 * np.arange(200) + rng.normal(0.0, 0.01, 200), (55.5, 0.2, 0.0)
+    targets[55] += 0.4
+    alias_deg = -0.2 * np.sin(2.0 * np.pi * targets[55] * (1.0 / 2.0 - 1.0 / 55.5))
+    poses = measured(targets, [wave], rng)
+    poses[55] = replace(poses[55], reading_deg=0.5 + targets[55] + alias_deg)
+    (effect,) = effects_in(poses)
+    assert (effect["verdict"], effect["confusable_with"]) == ("ambiguous", ["stage_periodic"])
+    assert effect["parameters"]["period_deg"]["value"] == pytest.approx(55.5, abs=1.0)
+    assert any("2.07" in said for said in effect["evidence"] if "would look the same" in said)
+
+
 @pytest.mark.parametrize("jitter_deg", [0.0, 0.05])
 def test_a_wave_of_twice_an_even_step_alternates_and_is_no_wave_of_any_amplitude(jitter_deg):
     rng = np.random.default_rng(10)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, rebuilt
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
-from calrig.calibration.diagnosis.ranking import MARGIN, SelectedEffect
+from calrig.calibration.diagnosis.ranking import SelectedEffect, decisive_pose
 from calrig.calibration.diagnosis.report import left_deg, slopes_of_errors, words_of
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
@@ -470,12 +470,6 @@ def _nameless(claimed: Candidate, offered: Sequence[Candidate]) -> Candidate | N
     return next((c for c in offered if not c.named and c.covariate == claimed.covariate), None)
 
 
-MOST_OF_A_LEAD = 0.5
-"""Of a lead, what must be left without a pose: every pose has some part in it."""
-DECISIVE = 2
-"""Poses that speak loudest for a name against a rival, each left out in turn: the others decide less."""
-
-
 def standing_without_one(r: Responses, found: Sequence[SelectedEffect]) -> tuple[SelectedEffect, ...]:
     """Return the same effects; a name that one pose alone tells from a runner-up becomes ambiguous with it.
 
@@ -492,33 +486,8 @@ def standing_without_one(r: Responses, found: Sequence[SelectedEffect]) -> tuple
 def _doubted(r: Responses, claimed: SelectedEffect, others: Sequence[Candidate]) -> SelectedEffect:
     doubted = claimed
     for rival in claimed.runners_up:
-        pose = _decisive(r, others, claimed.candidate, rival)
+        pose = decisive_pose(r, others, claimed.candidate, rival)
         if pose is not None:
             only = f"only the pose at {r.theta_deg[pose]:.4g}°"
             doubted = doubted.against(rival, f"{only} tells it from {words_of(r, rival)}: the rest does not")
     return doubted
-
-
-def _decisive(
-    r: Responses, others: Sequence[Candidate], claimed: Candidate, runner_up: Candidate
-) -> int | None:
-    """The pose that holds most of the lead, and without which it is less than `MARGIN`; None without one."""
-    both = [[*others, claimed], [*others, runner_up]]
-    ours, theirs = (fitted_model(r, effects).fitted for effects in both)
-    penalty = float(np.log(len(r))) * (runner_up.parameters - claimed.parameters)
-    lead = theirs.criterion - ours.criterion + penalty
-    for pose in np.argsort(-_for_the_claim(r, ours, theirs), kind="stable")[:DECISIVE]:
-        rest = np.delete(np.arange(len(r)), pose)
-        seen = r.rows(rest)
-        left = [fitted_model(seen, [c.rows(rest) for c in effects]).fitted for effects in both]
-        if left[1].criterion - left[0].criterion + penalty < min(MARGIN, MOST_OF_A_LEAD * lead):
-            return int(pose)
-    return None
-
-
-def _for_the_claim(r: Responses, ours: Fit, theirs: Fit) -> npt.NDArray[np.float64]:
-    """(n,) by how much each pose's innovations are larger, in −2 log likelihood, under the rival's fit."""
-    own, rival = (ours.noise.whiten(f.residuals, r.starts) ** 2 for f in (ours, theirs))
-    variance = own.mean(axis=0)
-    gained = np.divide(rival - own, variance, out=np.zeros_like(own), where=variance > 0.0)
-    return np.asarray(gained.sum(axis=1), dtype=np.float64)

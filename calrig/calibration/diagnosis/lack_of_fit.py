@@ -24,6 +24,7 @@ import numpy as np
 from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.channels import BoolArray
+from calrig.calibration.regression.motion import approach_of
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.spline import natural_spline
 from calrig.estimation.angle_text import angle_text
@@ -151,22 +152,24 @@ def _dwell(poses: Sequence[Pose]) -> Spread | None:
 
 
 def _groups(runs: Sequence[Sequence[Pose]], free: BoolArray) -> list[list[int]]:
-    """Return poses of one run at one target, come to from one side, in order; each at least twice.
+    """Return poses of one run at one target, come to or passed from one side, in order; each at least twice.
 
-    Poses of a stroke that lie closer than a target is told apart are no visits of one.
+    Poses of a stroke that lie closer than a target is told apart are no visits of one: it was not left.
     """
     groups: list[list[int]] = []
     first = 0
     targets_deg = [pose.target_deg for run in runs for pose in run]
 
     def is_revisit(earlier: int, later: int) -> bool:
-        return later > earlier + 1 or targets_deg[later] == targets_deg[earlier]
+        way_deg = np.ptp(targets_deg[earlier : later + 1])
+        return bool(way_deg > SAME_TARGET_DEG) or targets_deg[later] == targets_deg[earlier]
 
     for run in runs:
-        by_side: dict[int | None, list[int]] = {}
+        senses = approach_of(run)
+        by_side: dict[float | None, list[int]] = {}
         for k, pose in enumerate(run):
             if not free[first + k]:
-                by_side.setdefault(pose.approach, []).append(k)
+                by_side.setdefault(pose.approach if senses is None else float(senses[k]), []).append(k)
         for same_side in by_side.values():
             begins_deg = -math.inf
             for k in sorted(same_side, key=lambda k: run[k].target_deg):

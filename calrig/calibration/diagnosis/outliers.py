@@ -27,12 +27,15 @@ from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
 
 OUTLIER_STD = 12.0
 """Robust standard deviations (by the median absolute deviation) from the model without the pose."""
+CLEAR_STD, CLEAR = 7.0, 2.0
+"""The same of what stands clear of all other poses; times the largest of their residuals, where it does:
+heavy tails thin out more slowly."""
 MOST_SHARE = 0.03
 SUSPECTS = 3
 REACH = range(2, 6)
 """Poses on either side that a running median takes, fewer near the end of a pass."""
 FEWEST_NEIGHBOURED = 30
-"""Poses with neighbours, from which their spread is known."""
+"""Poses, of a running median those with neighbours, from which their spread is known."""
 AGAIN = 0.5
 """Of a pose's distance from its neighbours, what tells elsewhere that it belongs to the angle."""
 Intp = npt.NDArray[np.intp]
@@ -58,8 +61,10 @@ def outliers(r: Responses, accepted: Sequence[Candidate], most: int, gain_to_bea
     columns = model_columns(_with_first_poses(r), accepted)
     fitted = fit(r, columns)
     residual_deg = fitted.residuals[:, 0]
-    suspects = np.argsort(-np.abs(residual_deg), kind="stable")[:SUSPECTS]
-    sets = [np.array([k]) for k in suspects if _is_far(r, columns, int(k))]
+    suspects = np.argsort(-np.abs(residual_deg), kind="stable")[: min(SUSPECTS, most)]
+    several = [np.array([k]) for k in suspects]  # and those that hide each other
+    several += [np.sort(suspects[:count]) for count in range(2, len(suspects) + 1)]
+    sets = [those for those in several if _are_far(r, columns, those)]
     brief = briefly_apart(r, residual_deg)
     if 0 < len(brief) <= most:
         sets.append(brief)
@@ -88,12 +93,14 @@ def _without(r: Responses, columns: FloatArray, those: Intp) -> Fit:
     return fit(r, np.concatenate([columns, freed], axis=2))
 
 
-def _is_far(r: Responses, columns: FloatArray, k: int) -> bool:
-    """Return whether one pose is far from the model of the others, by their spread about it."""
-    without = _without(r, columns, np.array([k]))
-    spread_deg = robust_std(np.delete(without.residuals[:, 0], k))
-    distance_deg = abs(float(without.beta[columns.shape[2]]))
-    return distance_deg > OUTLIER_STD * max(spread_deg, float(r.rounding[0]))
+def _are_far(r: Responses, columns: FloatArray, those: Intp) -> bool:
+    """Return whether each of some poses is far from the model of the others, by their spread about it."""
+    without = _without(r, columns, those)
+    left_deg = np.delete(without.residuals[:, 0], those)
+    spread_deg = max(robust_std(left_deg), float(r.rounding[0]))
+    nearest_deg = float(np.abs(without.beta[columns.shape[2] :: len(r.channels)]).min())
+    is_clear = len(left_deg) >= FEWEST_NEIGHBOURED and nearest_deg > CLEAR * np.abs(left_deg).max()
+    return nearest_deg > (CLEAR_STD if is_clear else OUTLIER_STD) * spread_deg
 
 
 def briefly_apart(r: Responses, residual_deg: FloatArray) -> Intp:

@@ -29,6 +29,7 @@ from calrig.calibration.diagnosis.sensor_model import (
 )
 from calrig.calibration.effects.stage_periodic import spacing_deg
 from calrig.calibration.regression.effect import Shape
+from calrig.calibration.regression.noise_model import Fit
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import goes_round
 from calrig.estimation.angles import FloatArray
@@ -50,6 +51,10 @@ COMPANION_MARGIN = 3.0
 penalty a likelihood ratio beyond 7, which one parameter reaches in noise in less than 1 of 100. As a rival of
 one effect alone it pays as much: that two bend each other straight is a coincidence.
 """
+MOST_OF_A_LEAD = 0.5
+"""Of a lead, what must be left without a pose: every pose has some part in it."""
+DECISIVE = 2
+"""Poses that speak loudest for a name against a rival, each left out in turn: the others decide less."""
 LEADING_NAMES = 4
 SHORTLIST = 16
 FARTHEST = 1e9
@@ -244,7 +249,7 @@ def _alike(
     least = min(criterion for criterion, _ in found)
     equal = [c for criterion, c in found if criterion - least < MARGIN]
     penalised = [(criterion + np.log(len(r)) * c.parameters, c) for criterion, c in found]
-    likeliest = min(criterion for criterion, _ in penalised)
+    likeliest, winner = min(penalised, key=lambda one: one[0])
     likely = {c for criterion, c in penalised if criterion - likeliest < MARGIN}
     if not goes_round(r):  # there an order of the turn is no likelier than what is the same thing
         likely.update(c for criterion, c in found if criterion - least < INDISTINCT)
@@ -254,6 +259,10 @@ def _alike(
         # an alias won that was not scanned for: two waves together look like one at another place
         most = model.fitted.criterion - ALIAS_SHARE * (model.fitted.criterion - least)
         likely.update(c for criterion, c in found if criterion <= most)
+    for criterion, other in penalised:  # nor may one pose alone, off an even spacing, tell places apart
+        is_near = other not in likely and criterion - likeliest < FAR_BEHIND
+        if is_near and decisive_pose(r, accepted, winner, other) is not None:
+            likely.add(other)
     near = [c for _, c in found if c in likely]
     near = sorted(near, key=lambda c: (c.shape.scanned, -c.shape.at[effect.place]))
     return near, tuple(c for c in equal if c is not near[0])
@@ -357,3 +366,28 @@ def at_best_place(r: Responses, accepted: Sequence[Candidate], candidate: Candid
     refine = None if candidate.beside is not None else candidate.effect.refine
     finer = refine and refine(r, candidate.shape, criterion)
     return candidate if finer is None else of(finer)
+
+
+def decisive_pose(
+    r: Responses, others: Sequence[Candidate], claimed: Candidate, runner_up: Candidate
+) -> int | None:
+    """The pose that holds most of the lead, and without which it is less than `MARGIN`; None without one."""
+    both = [[*others, claimed], [*others, runner_up]]
+    ours, theirs = (fitted_model(r, effects).fitted for effects in both)
+    penalty = float(np.log(len(r))) * (runner_up.parameters - claimed.parameters)
+    lead = theirs.criterion - ours.criterion + penalty
+    for pose in np.argsort(-_for_the_claim(r, ours, theirs), kind="stable")[:DECISIVE]:
+        rest = np.delete(np.arange(len(r)), pose)
+        seen = r.rows(rest)
+        left = [fitted_model(seen, [c.rows(rest) for c in effects]).fitted for effects in both]
+        if left[1].criterion - left[0].criterion + penalty < min(MARGIN, MOST_OF_A_LEAD * lead):
+            return int(pose)
+    return None
+
+
+def _for_the_claim(r: Responses, ours: Fit, theirs: Fit) -> npt.NDArray[np.float64]:
+    """(n,) by how much each pose's innovations are larger, in −2 log likelihood, under the rival's fit."""
+    own, rival = (ours.noise.whiten(f.residuals, r.starts) ** 2 for f in (ours, theirs))
+    variance = own.mean(axis=0)
+    gained = np.divide(rival - own, variance, out=np.zeros_like(own), where=variance > 0.0)
+    return np.asarray(gained.sum(axis=1), dtype=np.float64)
