@@ -20,6 +20,13 @@ FARTHEST_STD_DEG = 60.0
 which turn one of them is meant nobody knows."""
 OPPOSED = 0.1
 """By how much more readings of a sensor that counts against the stage must agree on one direction."""
+TURN_DEG, HOLE_DEG = 360.0, 90.0
+"""A circle of targets may be cut where so much of it or more has none."""
+DECISIVE = 10.0
+"""In −2 log likelihood, by which one line fits better than another (Kass & Raftery, Journal of the American
+Statistical Association 90, 1995: "very strong")."""
+EXACT_DEG = 1e-6
+"""What rounding leaves of readings that follow a line exactly."""
 
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 
@@ -131,6 +138,27 @@ def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatAr
     """
     (along, agree), (against, disagree) = (_on_one_turn(reading_deg - way * theta_deg) for way in (1.0, -1.0))
     return np.where(disagree > agree + OPPOSED, against - 2.0 * theta_deg, along)
+
+
+def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | None:
+    """Return the target above which targets are better less by 360°; None where they are as good as written.
+
+    Targets from −30° to 30° may be written as 330° to 360° and 0° to 30°: they leave a hole, and the readings
+    follow a line with the circle cut there. Those of an axis that did turn to 330° follow it as written.
+    """
+    known = np.unique(target_deg)
+    span_deg = known[-1] - known[0] if len(known) else 0.0
+    if not TURN_DEG - HOLE_DEG < span_deg <= TURN_DEG:
+        return None
+    hole = int(np.argmax(np.diff(known)))
+    if known[hole + 1] - known[hole] < HOLE_DEG:
+        return None
+    as_written, cut = (
+        np.sum(np.square(error - np.polyval(np.polyfit(theta, error, 1), theta))) + EXACT_DEG**2
+        for theta in (target_deg, target_deg - TURN_DEG * (target_deg > known[hole]))
+        for error in [reading_error_deg(theta, reading_deg)]
+    )
+    return float(known[hole]) if len(target_deg) * math.log(as_written / cut) > DECISIVE else None
 
 
 def _on_one_turn(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
