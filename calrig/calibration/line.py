@@ -20,7 +20,7 @@ FARTHEST_STD_DEG = 60.0
 which turn one of them is meant nobody knows."""
 OPPOSED = 0.1
 """By how much more readings of a sensor that counts against the stage must agree on one direction."""
-TURN_DEG, HOLE_DEG = 360.0, 90.0
+HALF_TURN_DEG, TURN_DEG, HOLE_DEG = 180.0, 360.0, 90.0
 """A circle of targets may be cut where so much of it or more has none."""
 DECISIVE = 10.0
 """In −2 log likelihood, by which one line fits better than another (Kass & Raftery, Journal of the American
@@ -36,7 +36,8 @@ class Line:
     """A fitted line; what the poses do not tell is None.
 
     Attributes:
-        bias_deg: reading at θ = 0; with all poses at one angle, mean of reading − θ; in (−180, 180].
+        bias_deg: reading at θ = 0; with all poses at one angle, mean of reading − θ; in (−180, 180] unless
+            readings go beyond half a turn and are on one turn with it.
         scale: None with all poses at one angle; counts as 1 then.
         bias_std_deg: standard error of the bias; noise may be correlated from pose to pose, here and below.
         scale_std: standard error of the scale.
@@ -102,15 +103,16 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
     n = len(error)
     if one_angle or np.ptp(theta_deg) == 0.0:
         level = float(error.mean())
+        bias = float(bias_on_turn_deg(level, theta_deg, reading_deg, error))
         if n < 2:
-            return Line(wrap_deg(level), None, None, None, None, None)
+            return Line(bias, None, None, None, None, None)
         covariance, variance = covariance_over_correlations(np.ones((n, 1)), error - level)
-        return Line(wrap_deg(level), None, math.sqrt(covariance[0, 0]), None, None, math.sqrt(variance))
+        return Line(bias, None, math.sqrt(covariance[0, 0]), None, None, math.sqrt(variance))
     centre = float(theta_deg.mean())
     theta = theta_deg - centre
     slope = float(theta @ error) / float(theta @ theta)
     level = float(error.mean())
-    bias = wrap_deg(level - slope * centre)
+    bias = float(bias_on_turn_deg(level - slope * centre, theta_deg, reading_deg, error))
     if n < 3:
         return Line(bias, 1.0 + slope, None, None, None, None)
     unit_deg = float(np.abs(theta).max())
@@ -134,10 +136,29 @@ def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatAr
     """Return (…, n) reading − θ in degrees, each reading on the turn on which it follows the others of its n.
 
     Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there,
-    and readings within half a turn of θ would tear those of a sensor that counts against the stage.
+    and readings within half a turn of θ would tear those of a sensor that counts against the stage. Readings
+    beyond half a turn that are all on one turn stay on it.
     """
     (along, agree), (against, disagree) = (_on_one_turn(reading_deg - way * theta_deg) for way in (1.0, -1.0))
-    return np.where(disagree > agree + OPPOSED, against - 2.0 * theta_deg, along)
+    error = np.where(disagree > agree + OPPOSED, against - 2.0 * theta_deg, along)
+    for row in np.ndindex(error.shape[:-1]):
+        theta, reading = theta_deg[row], reading_deg[row]
+        turns = np.rint((reading - theta - error[row]) / TURN_DEG)
+        if (turns == turns[0]).all():
+            error[row] += TURN_DEG * turns * (np.abs(reading).max() > HALF_TURN_DEG)
+    return error
+
+
+def bias_on_turn_deg(
+    bias_deg: float | FloatArray, theta_deg: FloatArray, reading_deg: FloatArray, error_deg: FloatArray
+) -> FloatArray:
+    """Return (…) a bias as errors (…, n) gave it, if readings are beyond half a turn and on one turn with it.
+
+    It is in (−180, 180] otherwise.
+    """
+    is_on_one = (np.abs(reading_deg - theta_deg - error_deg) <= HALF_TURN_DEG).all(axis=-1)
+    is_beyond = np.abs(reading_deg).max(axis=-1) > HALF_TURN_DEG
+    return np.where(is_on_one & is_beyond, bias_deg, wrap_deg(bias_deg))
 
 
 def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | None:
