@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.correlated_errors import covariance_over_correlations
-from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
 
 MIN_SCALE = 1e-6
 """A smaller one says that the reading does not follow the stage: there is nothing to divide by."""
@@ -27,6 +27,8 @@ DECISIVE = 10.0
 Statistical Association 90, 1995: "very strong")."""
 EXACT_DEG = 1e-6
 """What rounding leaves of readings that follow a line exactly."""
+GROSS_SHARE, STRAYS = 0.1, 10.0
+"""Of the readings, the most that may be gross errors; robust standard deviations beyond which they are."""
 
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 
@@ -137,15 +139,22 @@ def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatAr
 
     Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there,
     and readings within half a turn of θ would tear those of a sensor that counts against the stage. Readings
-    beyond half a turn that are all on one turn stay on it.
+    beyond half a turn that are all on one turn stay on it, and so do gross errors of those that go on over
+    several turns.
     """
     (along, agree), (against, disagree) = (_on_one_turn(reading_deg - way * theta_deg) for way in (1.0, -1.0))
     error = np.where(disagree > agree + OPPOSED, against - 2.0 * theta_deg, along)
     for row in np.ndindex(error.shape[:-1]):
         theta, reading = theta_deg[row], reading_deg[row]
         turns = np.rint((reading - theta - error[row]) / TURN_DEG)
-        if (turns == turns[0]).all():
+        usual = turns == np.median(turns)
+        if usual.all():
             error[row] += TURN_DEG * turns * (np.abs(reading).max() > HALF_TURN_DEG)
+        elif _go_on(reading, usual):
+            off = theta - theta[usual].mean()
+            slope = (off @ (error[row] * usual)) / (off @ (off * usual))
+            if _strays(error[row] - slope * off, usual):
+                error[row] = reading - theta
     return error
 
 
@@ -159,6 +168,18 @@ def bias_on_turn_deg(
     is_on_one = (np.abs(reading_deg - theta_deg - error_deg) <= HALF_TURN_DEG).all(axis=-1)
     is_beyond = np.abs(reading_deg).max(axis=-1) > HALF_TURN_DEG
     return np.where(is_on_one & is_beyond, bias_deg, wrap_deg(bias_deg))
+
+
+def _go_on(reading_deg: FloatArray, usual: npt.NDArray[np.bool_]) -> bool:
+    """Return whether nearly all (n,) readings are on their usual turn, and span more than a turn there."""
+    return bool(usual.mean() >= 1.0 - GROSS_SHARE and np.ptp(reading_deg[usual]) > TURN_DEG)
+
+
+def _strays(left_deg: FloatArray, usual: npt.NDArray[np.bool_]) -> bool:
+    """Return whether readings of another turn, once on the usual one, are still not where the others are."""
+    middle_deg, spread_deg = np.median(left_deg[usual]), robust_std(left_deg[usual])
+    away_deg = np.median(np.abs(left_deg[~usual] - middle_deg))
+    return bool(away_deg > STRAYS * max(spread_deg, EXACT_DEG))
 
 
 def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | None:
@@ -194,14 +215,19 @@ def residuals_deg(
 ) -> FloatArray:
     """(n,) what is left after calibration: (reading − bias)/scale − θ in degrees; scale None counts as 1.
 
-    The reading is taken on the turn on which the calibrated one comes nearest to θ. NaN throughout where the
-    scale is smaller than `MIN_SCALE`.
+    The reading is taken on the turn on which the calibrated one comes nearest to θ, except for gross errors
+    of readings that go on over several turns. NaN throughout where the scale is smaller than `MIN_SCALE`.
     """
     factor = 1.0 if scale is None else scale
     if abs(factor) < MIN_SCALE:
         return np.full(len(theta_deg), math.nan)
-    expected = bias_deg + factor * theta_deg
-    return np.asarray(wrap_deg(reading_deg - expected) / factor, dtype=np.float64)
+    beyond = reading_deg - bias_deg - factor * theta_deg
+    left = np.asarray(wrap_deg(beyond))
+    turns = np.rint((beyond - left) / TURN_DEG)
+    usual = turns == np.median(turns) if len(turns) else turns == 0.0
+    if not usual.all() and _go_on(reading_deg, usual) and _strays(left, usual):
+        left = beyond - TURN_DEG * np.median(turns)
+    return np.asarray(left / factor, dtype=np.float64)
 
 
 def rms(values: FloatArray) -> float:
