@@ -80,13 +80,14 @@ def _streamed(pieces: Iterator[AnyStr], media_type: str, name: str = "") -> Resp
 
 def _pose(stored: StoredPose, residual_deg: float | None, run: Run) -> dict[str, Any]:
     axis = mount_axis(run.plan, run.provenance)
+    bias_deg = 0.0 if run.result is None else run.result.bias_deg
     return {
         **dict.fromkeys(GYRO_MEANS),
         **stored.pose.row(),
         **mount_columns(run.id, axis, stored.pose),
         "index": stored.index,
         "excluded": stored.excluded,
-        "raw_error_deg": raw_error_deg(stored.pose, -1 if axis.startswith("-") else 1),
+        "raw_error_deg": raw_error_deg(stored.pose, -1 if axis.startswith("-") else 1, bias_deg),
         "residual_deg": residual_deg,
     }
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.line import follows_stage, reading_error_deg
+from calrig.calibration.line import bias_on_turn_deg, follows_stage, reading_error_deg
 from calrig.calibration.packed_poses import Intp, PackedPoses
 from calrig.calibration.regression.responses import FEWEST_POSES
 from calrig.estimation.angles import MAD_TO_STD, FloatArray, wrap_deg
@@ -192,7 +192,7 @@ def lines_of(poses: PackedPoses, theta_deg: FloatArray, rows: Intp) -> Lines:
         given=given,
         covariates=poses.covariates,
         left_deg=left,
-        bias_deg=np.asarray(wrap_deg(level - slope * centre)),
+        bias_deg=bias_on_turn_deg(level - slope * centre, theta, given["reading_deg"], error),
         scale=np.where(turns, 1.0 + slope, np.nan),
         scale_std=np.sqrt(variance),
         rms_deg=np.sqrt(squares / theta.shape[1]),

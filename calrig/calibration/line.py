@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.correlated_errors import covariance_over_correlations
-from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
 
 MIN_SCALE = 1e-6
 """A smaller one says that the reading does not follow the stage: there is nothing to divide by."""
@@ -20,6 +20,15 @@ FARTHEST_STD_DEG = 60.0
 which turn one of them is meant nobody knows."""
 OPPOSED = 0.1
 """By how much more readings of a sensor that counts against the stage must agree on one direction."""
+HALF_TURN_DEG, TURN_DEG, HOLE_DEG = 180.0, 360.0, 90.0
+"""A circle of targets may be cut where so much of it or more has none."""
+DECISIVE = 10.0
+"""In −2 log likelihood, by which one line fits better than another (Kass & Raftery, Journal of the American
+Statistical Association 90, 1995: "very strong")."""
+EXACT_DEG = 1e-6
+"""What rounding leaves of readings that follow a line exactly."""
+GROSS_SHARE, STRAYS = 0.1, 10.0
+"""Of the readings, the most that may be gross errors; robust standard deviations beyond which they are."""
 
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 
@@ -29,7 +38,8 @@ class Line:
     """A fitted line; what the poses do not tell is None.
 
     Attributes:
-        bias_deg: reading at θ = 0; with all poses at one angle, mean of reading − θ; in (−180, 180].
+        bias_deg: reading at θ = 0; with all poses at one angle, mean of reading − θ; in (−180, 180] unless
+            readings go beyond half a turn and are on one turn with it.
         scale: None with all poses at one angle; counts as 1 then.
         bias_std_deg: standard error of the bias; noise may be correlated from pose to pose, here and below.
         scale_std: standard error of the scale.
@@ -95,15 +105,16 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
     n = len(error)
     if one_angle or np.ptp(theta_deg) == 0.0:
         level = float(error.mean())
+        bias = float(bias_on_turn_deg(level, theta_deg, reading_deg, error))
         if n < 2:
-            return Line(wrap_deg(level), None, None, None, None, None)
+            return Line(bias, None, None, None, None, None)
         covariance, variance = covariance_over_correlations(np.ones((n, 1)), error - level)
-        return Line(wrap_deg(level), None, math.sqrt(covariance[0, 0]), None, None, math.sqrt(variance))
+        return Line(bias, None, math.sqrt(covariance[0, 0]), None, None, math.sqrt(variance))
     centre = float(theta_deg.mean())
     theta = theta_deg - centre
     slope = float(theta @ error) / float(theta @ theta)
     level = float(error.mean())
-    bias = wrap_deg(level - slope * centre)
+    bias = float(bias_on_turn_deg(level - slope * centre, theta_deg, reading_deg, error))
     if n < 3:
         return Line(bias, 1.0 + slope, None, None, None, None)
     unit_deg = float(np.abs(theta).max())
@@ -127,10 +138,69 @@ def reading_error_deg(theta_deg: FloatArray, reading_deg: FloatArray) -> FloatAr
     """Return (…, n) reading − θ in degrees, each reading on the turn on which it follows the others of its n.
 
     Each alone in (−180, 180] would tear a unit mounted upside down apart, at +179.9° here and −179.9° there,
-    and readings within half a turn of θ would tear those of a sensor that counts against the stage.
+    and readings within half a turn of θ would tear those of a sensor that counts against the stage. Readings
+    beyond half a turn that are all on one turn stay on it, and so do gross errors of those that go on over
+    several turns.
     """
     (along, agree), (against, disagree) = (_on_one_turn(reading_deg - way * theta_deg) for way in (1.0, -1.0))
-    return np.where(disagree > agree + OPPOSED, against - 2.0 * theta_deg, along)
+    error = np.where(disagree > agree + OPPOSED, against - 2.0 * theta_deg, along)
+    for row in np.ndindex(error.shape[:-1]):
+        theta, reading = theta_deg[row], reading_deg[row]
+        turns = np.rint((reading - theta - error[row]) / TURN_DEG)
+        usual = turns == np.median(turns)
+        if usual.all():
+            error[row] += TURN_DEG * turns * (np.abs(reading).max() > HALF_TURN_DEG)
+        elif _go_on(reading, usual):
+            off = theta - theta[usual].mean()
+            slope = (off @ (error[row] * usual)) / (off @ (off * usual))
+            if _strays(error[row] - slope * off, usual):
+                error[row] = reading - theta
+    return error
+
+
+def bias_on_turn_deg(
+    bias_deg: float | FloatArray, theta_deg: FloatArray, reading_deg: FloatArray, error_deg: FloatArray
+) -> FloatArray:
+    """Return (…) a bias as errors (…, n) gave it, if readings are beyond half a turn and on one turn with it.
+
+    It is in (−180, 180] otherwise.
+    """
+    is_on_one = (np.abs(reading_deg - theta_deg - error_deg) <= HALF_TURN_DEG).all(axis=-1)
+    is_beyond = np.abs(reading_deg).max(axis=-1) > HALF_TURN_DEG
+    return np.where(is_on_one & is_beyond, bias_deg, wrap_deg(bias_deg))
+
+
+def _go_on(reading_deg: FloatArray, usual: npt.NDArray[np.bool_]) -> bool:
+    """Return whether nearly all (n,) readings are on their usual turn, and span more than a turn there."""
+    return bool(usual.mean() >= 1.0 - GROSS_SHARE and np.ptp(reading_deg[usual]) > TURN_DEG)
+
+
+def _strays(left_deg: FloatArray, usual: npt.NDArray[np.bool_]) -> bool:
+    """Return whether readings of another turn, once on the usual one, are still not where the others are."""
+    middle_deg, spread_deg = np.median(left_deg[usual]), robust_std(left_deg[usual])
+    away_deg = np.median(np.abs(left_deg[~usual] - middle_deg))
+    return bool(away_deg > STRAYS * max(spread_deg, EXACT_DEG))
+
+
+def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | None:
+    """Return the target above which targets are better less by 360°; None where they are as good as written.
+
+    Targets from −30° to 30° may be written as 330° to 360° and 0° to 30°: they leave a hole, and the readings
+    follow a line with the circle cut there. Those of an axis that did turn to 330° follow it as written.
+    """
+    known = np.unique(target_deg)
+    span_deg = known[-1] - known[0] if len(known) else 0.0
+    if not TURN_DEG - HOLE_DEG < span_deg <= TURN_DEG:
+        return None
+    hole = int(np.argmax(np.diff(known)))
+    if known[hole + 1] - known[hole] < HOLE_DEG:
+        return None
+    as_written, cut = (
+        np.sum(np.square(error - np.polyval(np.polyfit(theta, error, 1), theta))) + EXACT_DEG**2
+        for theta in (target_deg, target_deg - TURN_DEG * (target_deg > known[hole]))
+        for error in [reading_error_deg(theta, reading_deg)]
+    )
+    return float(known[hole]) if len(target_deg) * math.log(as_written / cut) > DECISIVE else None
 
 
 def _on_one_turn(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -145,14 +215,19 @@ def residuals_deg(
 ) -> FloatArray:
     """(n,) what is left after calibration: (reading − bias)/scale − θ in degrees; scale None counts as 1.
 
-    The reading is taken on the turn on which the calibrated one comes nearest to θ. NaN throughout where the
-    scale is smaller than `MIN_SCALE`.
+    The reading is taken on the turn on which the calibrated one comes nearest to θ, except for gross errors
+    of readings that go on over several turns. NaN throughout where the scale is smaller than `MIN_SCALE`.
     """
     factor = 1.0 if scale is None else scale
     if abs(factor) < MIN_SCALE:
         return np.full(len(theta_deg), math.nan)
-    expected = bias_deg + factor * theta_deg
-    return np.asarray(wrap_deg(reading_deg - expected) / factor, dtype=np.float64)
+    beyond = reading_deg - bias_deg - factor * theta_deg
+    left = np.asarray(wrap_deg(beyond))
+    turns = np.rint((beyond - left) / TURN_DEG)
+    usual = turns == np.median(turns) if len(turns) else turns == 0.0
+    if not usual.all() and _go_on(reading_deg, usual) and _strays(left, usual):
+        left = beyond - TURN_DEG * np.median(turns)
+    return np.asarray(left / factor, dtype=np.float64)
 
 
 def rms(values: FloatArray) -> float:

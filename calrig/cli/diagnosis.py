@@ -178,7 +178,6 @@ def _of_runs(
 
 
 def _poses_there(there: Client, run_id: str) -> list[Pose]:
-    from calrig.export.poses_csv import read_about_x
+    from calrig.export.poses_csv import read_poses
 
-    poses, _ = read_about_x(there.text(f"/api/runs/{run_id}/poses?format=csv").encode())
-    return poses
+    return read_poses(there.text(f"/api/runs/{run_id}/poses?format=csv").encode()).poses

@@ -20,7 +20,7 @@ from calrig.calibration.separation import in_words
 from calrig.calibration.uncertainty import reference_figures, uncertainty
 from calrig.canonical_json import json_of_file, sha256_of
 from calrig.errors import InputError, readable
-from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.angles import FloatArray
 from calrig.model.result import Reference
 from calrig.store.records import AcceptedEffect, Document
 
@@ -116,7 +116,6 @@ def calibration_content(
     elevations = np.array([pose.theta_deg for pose in of_first_mount(poses)], dtype=np.float64)
     line = result.line_with_effects or result.line
     worth = uncertainty(line, elevations, reference)
-    bias_deg = line.bias_deg + turns_of_readings_deg(poses, line)
     figures = result.to_dict()
     gyro = figures["gyro"]
     return {
@@ -125,7 +124,7 @@ def calibration_content(
         "rig": rig,
         "range_deg": [float(elevations.min()), float(elevations.max())],
         "model": MODEL,
-        "bias_deg": bias_deg,
+        "bias_deg": line.bias_deg,
         "scale": line.scale,
         "covariance": None if line.covariance is None else [list(row) for row in line.covariance],
         "effects": [
@@ -133,7 +132,7 @@ def calibration_content(
             for effect in accepted
             if effect.unit is not None and result.line_with_effects is not None
         ],
-        "readings_wrap": _wrap(poses, bias_deg, line.scale),
+        "readings_wrap": _wrap(poses, line.bias_deg, line.scale),
         "gyro": {"bias_dps": gyro["bias_dps"], "scale": gyro["scale"]},
         "rms_raw_deg": result.rms_raw_deg,
         "rms_calibrated_deg": result.rms_calibrated_deg,
@@ -148,17 +147,6 @@ def calibration_content(
         "temperature_c": figures["temperature_c"],
         "degrees_of_freedom": None if result.over_range is None else result.over_range.freedom,
     }
-
-
-def turns_of_readings_deg(poses: Sequence[Pose], line: Line) -> float:
-    """Return the whole turns, degrees, by which most readings lie beyond the line.
-
-    A sensor that counts from 0° to 360° may lie a turn from a reference that goes on. With these turns in
-    the bias its readings need no wrapping, which takes another angle where the scale is not 1.
-    """
-    scale = 1.0 if line.scale is None else line.scale
-    beyond_deg = [pose.reading_deg - line.bias_deg - scale * pose.theta_deg for pose in poses]
-    return 360.0 * round(float(np.median(beyond_deg)) / 360.0)
 
 
 def _wrap(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> bool | None:
@@ -179,11 +167,11 @@ def _by_map(
 
 
 def line_of(document: Mapping[str, Any]) -> Line:
-    """Bias and scale of such a document, with their standard errors; the bias in (−180, 180]."""
+    """Bias and scale of such a document, with their standard errors."""
     covariance = document["covariance"]
     stds = (None, None) if covariance is None else (covariance[0][0] ** 0.5, covariance[1][1] ** 0.5)
     return Line(
-        bias_deg=wrap_deg(float(document["bias_deg"])),
+        bias_deg=float(document["bias_deg"]),
         scale=document["scale"],
         bias_std_deg=stds[0],
         scale_std=stds[1],

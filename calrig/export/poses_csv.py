@@ -9,8 +9,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast, get_args, overload
 
+import numpy as np
+
+from calrig.calibration.line import cut_above_deg
 from calrig.calibration.poses import COLUMNS, FEW, HOST_TIME, INTEGER, MOUNT_DEG, OF_MOUNTS, REQUIRED, Pose
 from calrig.calibration.separation import FACES, MountedPoses
+from calrig.estimation.angles import FloatArray
 from calrig.export.csv_dialect import csv_text
 from calrig.export.csv_errors import CsvError, CsvReport
 from calrig.export.csv_table import Cells, for_spreadsheet, from_spreadsheet, read_tables
@@ -56,6 +60,13 @@ class PoseColumns(Sequence[Pose]):
         column = self._columns.get(name)
         return None if column is None else [None if math.isnan(cell) else cell for cell in column]
 
+    def on_one_arc(self) -> tuple[PoseColumns, list[str]]:
+        """The poses with their targets as of `_on_one_arc`, and what is to be said of it."""
+        target, reading = (np.array(self._columns[name]) for name in REQUIRED)
+        mount = np.nan_to_num(np.array(self._columns.get(MOUNT_DEG, np.zeros(len(self)))))
+        target, said = _on_one_arc(target, reading - mount)
+        return PoseColumns({**self._columns, "target_deg": array("d", target)}) if said else self, said
+
     def in_time(self) -> tuple[PoseColumns, list[str]]:
         """The poses by `time_s` if each has one, and what is to be said where they were not so."""
         order, said = self.order_in_time()
@@ -76,6 +87,15 @@ class PoseColumns(Sequence[Pose]):
             return as_they_are, [said]
         order = sorted(as_they_are, key=times.__getitem__)
         return order, ["the rows were not in order of time_s; they are sorted by it"]
+
+
+def _on_one_arc(target_deg: FloatArray, reading_deg: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Targets with the circle cut where they leave a hole, if `cut_above_deg` says so, and that it was."""
+    above_deg = cut_above_deg(target_deg, reading_deg)
+    if above_deg is None:
+        return target_deg, []
+    said = f"targets above {above_deg:g}° were taken as less by 360°: the readings follow a line there"
+    return target_deg - 360.0 * (target_deg > above_deg), [said]
 
 
 def _known(cells: Iterable[float], whole: bool) -> Iterator[float | int | None]:
@@ -285,8 +305,9 @@ def read_run(
     axis = _axis(texts[AXIS]) if AXIS in texts else "x"
     if "mount" in texts:
         _refuse_two_in_one(texts["mount"], poses.cells(MOUNT_DEG))
+    poses, cut = poses.on_one_arc()
     ordered, of_time = poses.in_time()
-    return ordered, axis, [*warnings, *of_time], _file_reference(texts)
+    return ordered, axis, [*warnings, *of_time, *cut], _file_reference(texts)
 
 
 def read_about_x(data: bytes) -> tuple[list[Pose], list[str]]:
@@ -301,8 +322,9 @@ def read_about_x(data: bytes) -> tuple[list[Pose], list[str]]:
     axis = _axis(texts[AXIS]) if AXIS in texts else "x"
     if axis != "x":
         raise CsvError(f"is {axis}, and this is of elevations about x; `calrig solve` takes it", column=AXIS)
+    poses, cut = poses.on_one_arc()
     ordered, of_time = poses.in_time()
-    return ordered[:], [*warnings, *of_time]
+    return ordered[:], [*warnings, *of_time, *cut]
 
 
 def _one(column: Texts, name: str) -> str:
@@ -379,7 +401,14 @@ def read_mounted(data: bytes, source: str, unit: str | None) -> tuple[list[Mount
     poses, texts, warnings = read_labelled_columns(data, LABELS)
     order, of_time = poses.order_in_time()
     labels = [{name: cells.texts[k] for name, cells in texts.items() if cells.texts[k]} for k in order]
-    return _by_mounting(poses.in_time()[0][:], labels, source, unit), [*warnings, *of_time]
+    lots, cuts = _by_mounting(poses.in_time()[0][:], labels, source, unit), []
+    for place, lot in enumerate(lots):
+        targets, cut = _on_one_arc(*np.array([(pose.target_deg, pose.reading_deg) for pose in lot.poses]).T)
+        if cut:
+            own = [replace(pose, target_deg=to) for pose, to in zip(lot.poses, targets.tolist(), strict=True)]
+            lots[place] = replace(lot, poses=own)
+            cuts += [f"unit {lot.unit}, mount {lot.mount}: {cut[0]}"]
+    return lots, [*warnings, *of_time, *cuts]
 
 
 def _by_mounting(

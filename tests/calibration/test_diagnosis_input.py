@@ -330,17 +330,22 @@ def test_an_order_of_a_sensor_that_counts_against_the_stage_is_found_and_no_step
     assert said["final"]["fit_rms_deg"] < 0.03
 
 
-@pytest.mark.parametrize("which", ["all", "some"])
-def test_a_reading_off_by_a_whole_turn_is_taken_on_the_stage_s_turn(which: str) -> None:
+def test_some_readings_off_by_a_whole_turn_are_taken_on_the_turn_of_the_others() -> None:
     poses = run_of(sweeps())
-    off = [
-        replace(p, reading_deg=p.reading_deg + 360.0) if which == "all" or k % 3 == 0 else p
-        for k, p in enumerate(poses)
-    ]
+    off = [replace(p, reading_deg=p.reading_deg + 360.0 * (k % 3 == 0)) for k, p in enumerate(poses)]
     said, straight = told(off), told(poses)
     assert said["verdict"] == "nothing"
     assert said["base"] == pytest.approx(straight["base"])
-    assert f"{which} readings were taken on another turn" in " ".join(said["warnings"])
+    assert "some readings were taken on another turn" in " ".join(said["warnings"])
+
+
+def test_readings_all_of_another_turn_have_it_in_their_bias() -> None:
+    poses = run_of(sweeps())
+    said, straight = told([replace(p, reading_deg=p.reading_deg + 360.0) for p in poses]), told(poses)
+    assert said["verdict"] == "nothing"
+    bias_deg = straight["base"]["bias_deg"] + 360.0
+    assert said["base"] == pytest.approx({**straight["base"], "bias_deg": bias_deg})
+    assert not any("another turn" in sentence for sentence in said["warnings"])
 
 
 @pytest.mark.parametrize("size_deg", [1.0, -30.0, 300.0])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, linregress
 
 from calrig.calibration.correlated_errors import expected_widening
-from calrig.calibration.line import fit_line, residuals_deg, rms
+from calrig.calibration.line import fit_line, reading_error_deg, residuals_deg, rms
 
 GRID_DEG = np.tile(np.arange(-60.0, 61.0, 10.0), 4)
 
@@ -172,3 +172,17 @@ def test_a_residual_is_in_degrees_of_elevation_not_of_the_reading():
     theta_deg = np.array([-30.0, 0.0, 30.0])
     reading_deg = 1.0 + 2.0 * theta_deg + np.array([0.0, 0.5, 0.0])
     np.testing.assert_allclose(residuals_deg(theta_deg, reading_deg, 1.0, 2.0), [0.0, 0.25, 0.0], atol=1e-12)
+
+
+def test_a_gross_error_of_readings_that_go_on_is_not_folded_and_a_turn_lost_is():
+    theta_deg = np.linspace(0.0, 1440.0, 60)
+    reading_deg = 5.0 + 1.01 * theta_deg + np.random.default_rng(3).normal(0.0, 0.1, 60)
+    some = np.array([7, 30, 44])
+    wrong, restarted = reading_deg.copy(), reading_deg.copy()
+    wrong[some] += [-746.0, 500.0, 1100.0]
+    restarted[some] -= [360.0, 720.0, 1080.0]
+    of_line = residuals_deg(theta_deg, wrong, 5.0, 1.01)
+    assert of_line == pytest.approx((wrong - 5.0) / 1.01 - theta_deg)
+    assert reading_error_deg(theta_deg, wrong) == pytest.approx(wrong - theta_deg)
+    assert np.abs(residuals_deg(theta_deg, restarted, 5.0, 1.01)).max() < 0.5
+    assert np.ptp(reading_error_deg(theta_deg, restarted) - 0.01 * theta_deg) < 1.0

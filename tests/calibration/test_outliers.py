@@ -7,8 +7,9 @@ import pytest
 from posed import posed
 
 from calrig.calibration.diagnosis.candidates import candidates_of
-from calrig.calibration.diagnosis.outliers import briefly_apart
+from calrig.calibration.diagnosis.outliers import briefly_apart, gross_errors
 from calrig.calibration.diagnosis.selection import Findings, search
+from calrig.calibration.diagnosis.tracing import Diagnosis, diagnose, document
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.responses import responses_of
 
@@ -118,3 +119,54 @@ def test_a_dent_that_every_pass_feels_is_of_the_angle_and_one_that_one_pass_feel
 def test_what_begins_where_the_stage_turns_is_no_burst() -> None:
     since = np.arange(800) % 200
     assert brief(passes(4), 1.5 * np.exp(-since / 1.5) * (np.arange(800) >= 200)) == []
+
+
+def lost_digits(share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Elevations of four turns and back, their readings, and which of these lost their last digit."""
+    theta = np.concatenate([np.linspace(0.0, 1400.0, 100), np.linspace(1395.0, 5.0, 100)])
+    rng = np.random.default_rng(4)
+    readings = np.round(100.0 + 1.02 * theta + rng.normal(0.0, 0.5, len(theta)), 1)
+    wrong = np.zeros(len(theta), dtype=bool)
+    wrong[rng.choice(np.arange(2, len(theta) - 2), int(share * len(theta)), replace=False)] = True
+    return theta, np.where(wrong, readings // 10.0, readings), wrong
+
+
+def diagnosed(theta: np.ndarray, readings: np.ndarray) -> Diagnosis:
+    poses = posed(target_deg=theta, reading_deg=readings, time_s=4.0 * np.arange(len(theta)))
+    return diagnose([poses], bootstraps=99, cross_fit=False)
+
+
+def test_gross_errors_are_left_out_beyond_the_most_outliers_and_stay_on_no_other_turn() -> None:
+    theta, readings, wrong = lost_digits(0.08)
+    found = diagnosed(theta, readings)
+    assert [pose.target_deg for pose in found.runs[0]] == theta[~wrong].tolist()
+    slope, level = np.polyfit(theta[~wrong], readings[~wrong], 1)
+    said = document(found, ["1"])
+    assert said["base"]["scale"] == pytest.approx(slope)
+    assert said["base"]["bias_deg"] == pytest.approx(level)
+    assert said["base"]["fit_rms_deg"] < 0.6
+    assert said["warnings"][0].startswith(f"outliers, {wrong.sum()} poses")
+    assert not any("another turn" in sentence for sentence in said["warnings"])
+
+
+def test_outliers_beyond_the_most_that_are_left_out_are_counted() -> None:
+    theta, readings, wrong = lost_digits(0.15)
+    found = diagnosed(theta, readings)
+    left_out = len(theta) - len(found.runs[0])
+    more = next(sentence for sentence in found.warnings if "more poses lie as far" in sentence)
+    assert "at most 6 of 200 are left out" in more
+    assert 0.8 * wrong.sum() <= left_out + int(more.split()[0]) <= wrong.sum()
+
+
+@pytest.mark.parametrize("event", ["slip", "dent", "many", "small"])
+def test_what_may_be_an_effect_is_no_gross_error(event: str) -> None:
+    theta = passes(4)
+    shape = {
+        "slip": 90.0 * (np.arange(len(theta)) >= 740),
+        "dent": 90.0 * (np.abs(theta - 17.0) < 0.25),
+        "many": 90.0 * (np.arange(len(theta)) % 8 == 3),
+        "small": 30.0 * (np.arange(len(theta)) == 333),
+    }
+    assert gross_errors(responses_of([run_of(theta, shape[event], seed=11)])).tolist() == []
+    alone = 90.0 * (np.arange(len(theta)) == 333)
+    assert gross_errors(responses_of([run_of(theta, alone, seed=11)])).tolist() == [333]

@@ -5,15 +5,24 @@ from __future__ import annotations
 import itertools
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import DATA
 
+from calrig.calibration.line import fit_line
 from calrig.calibration.poses import COLUMNS, Pose
 from calrig.export import csv_table
 from calrig.export.csv_errors import CsvError
-from calrig.export.poses_csv import read_labelled_columns, read_poses, read_run, write_poses
+from calrig.export.poses_csv import (
+    read_about_x,
+    read_labelled_columns,
+    read_mounted,
+    read_poses,
+    read_run,
+    write_poses,
+)
 
 number = st.floats(-1e30, 1e30, allow_nan=False)
 count = st.integers(0, 2**53)
@@ -303,3 +312,49 @@ def test_few_rows_without_a_reading_are_left_out_and_counted_and_more_are_refuse
     with pytest.raises(CsvError, match="line 5, column reading_deg: '' is not known, and a") as refused:
         read_labelled_columns(text.encode(), ["mount"])
     assert "line 23, column target_deg" in str(refused.value)
+
+
+READERS = {
+    "diagnosed": read_about_x,
+    "imported": lambda data: (read_run(data, "AS-1")[0][:], read_run(data, "AS-1")[2]),
+    "solved": lambda data: (
+        read_mounted(data, "log", "AS-1")[0][0].poses,
+        read_mounted(data, "log", "AS-1")[1],
+    ),
+}
+
+
+def _table(target_deg, reading_deg):
+    rows = zip(target_deg.tolist(), reading_deg.tolist(), strict=True)
+    return "".join(["target_deg,reading_deg\n", *(f"{t},{r}\n" for t, r in rows)]).encode()
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_targets_written_from_0_to_360_around_0_are_taken_on_one_arc(reader):
+    true_deg = np.arange(-30.0, 31.0)
+    noise_deg = np.random.default_rng(1).normal(0.0, 0.02, len(true_deg))
+    data = _table(true_deg % 360.0, (0.4 + 1.02 * true_deg + noise_deg) % 360.0)
+    poses, said = READERS[reader](data)
+    assert [pose.target_deg for pose in poses] == true_deg.tolist()
+    assert any("targets above 30° were taken as less by 360°" in sentence for sentence in said)
+    line = fit_line(*np.array([(pose.theta_deg, pose.reading_deg) for pose in poses]).T)
+    assert line.bias_deg == pytest.approx(0.4, abs=0.02)
+    assert line.scale == pytest.approx(1.02, abs=0.001)
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("written_deg", "scale"),
+    [
+        pytest.param(np.concatenate([np.arange(31.0), np.arange(330.0, 361.0)]), 1.02, id="moved-to-330"),
+        pytest.param(np.concatenate([np.arange(31.0), np.arange(330.0, 361.0)]), 1.0, id="as-good"),
+        pytest.param(np.arange(0.0, 360.0, 5.0), 1.02, id="full-turn"),
+        pytest.param(np.append(np.arange(0.0, 31.0), np.arange(690.0, 720.0)), 1.02, id="several-turns"),
+        pytest.param(np.array([5.0]), 1.02, id="one-pose"),
+    ],
+)
+def test_targets_stay_as_written_where_no_better_line_is_found_elsewhere(reader, written_deg, scale):
+    noise_deg = np.random.default_rng(2).normal(0.0, 0.02, len(written_deg))
+    poses, said = READERS[reader](_table(written_deg, (0.4 + scale * written_deg + noise_deg) % 360.0))
+    assert [pose.target_deg for pose in poses] == written_deg.tolist()
+    assert not any("less by 360°" in sentence for sentence in said)

@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calrig.analysis.known_calibration import reading_doubts
+from calrig.calibration.diagnosis import trace
 from calrig.calibration.poses import Pose
-from calrig.calibration.results import build_result
-from calrig.export.calibration_document import calibration_content
+from calrig.calibration.results import build_result, raw_error_deg
+from calrig.export.calibration_document import calibration_content, line_of
 from calrig.export.formats.c_header import c_header
 from calrig.export.formats.table import correction_table
 from calrig.loaded import Calibration
@@ -101,3 +102,20 @@ def test_readings_that_the_poses_show_to_go_on_are_brought_back_by_turns_of_the_
     document = calibrated(theta_deg, 5.0 + 1.01 * theta_deg)
     assert document["readings_wrap"] is False
     assert Calibration(document).elevation_deg(5.0 + 1.01 * 240.0) == pytest.approx(-120.0, abs=1e-6)
+
+
+def test_run_diagnosis_document_and_poses_state_one_bias_of_readings_that_begin_elsewhere():
+    """As in reading = bias + scale·θ, taken literally: an encoder goes on from where it began."""
+    theta_deg = np.linspace(-30.0, 1500.0, 60)
+    reading_deg = -253.0 + 1.02 * theta_deg + np.random.default_rng(1).normal(0.0, 0.1, 60)
+    poses = [Pose(float(t), float(r)) for t, r in zip(theta_deg, reading_deg, strict=True)]
+    document = calibrated(theta_deg, reading_deg)
+    _, level = np.polyfit(theta_deg, reading_deg, 1)
+    as_it_came_deg = reading_deg - theta_deg
+    raw_deg = [raw_error_deg(pose, bias_deg=document["bias_deg"]) for pose in poses]
+    assert document["bias_deg"] == pytest.approx(level)
+    assert build_result(poses).bias_deg == document["bias_deg"] == line_of(document).bias_deg
+    assert trace([poses], ["1"])["base"]["bias_deg"] == pytest.approx(document["bias_deg"])
+    assert document["rms_raw_deg"] == pytest.approx(np.sqrt(np.mean(as_it_came_deg**2)))
+    assert raw_deg == pytest.approx(as_it_came_deg)
+    assert document["readings_wrap"] is False

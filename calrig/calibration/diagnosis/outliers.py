@@ -21,6 +21,7 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns
+from calrig.calibration.line import GROSS_SHARE
 from calrig.calibration.regression.noise_model import Fit, fit
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
@@ -38,12 +39,72 @@ FEWEST_NEIGHBOURED = 30
 """Poses, of a running median those with neighbours, from which their spread is known."""
 AGAIN = 0.5
 """Of a pose's distance from its neighbours, what tells elsewhere that it belongs to the angle."""
+GROSS_DEG = 60.0
+"""From a line; no effect of the catalogue moves some single readings so far."""
+OF_ANGLE = 0.25
+"""Of the poses at one angle, those that tell that an error belongs to it."""
 Intp = npt.NDArray[np.intp]
 
 
 def most_outliers(n: int) -> int:
     """Return how many of n poses may be left out as outliers; if more are far off, the model is wrong."""
     return max(1, int(MOST_SHARE * n))
+
+
+def gross_errors(r: Responses) -> Intp:
+    """Return the poses whose readings no effect can have made; none where they are more than a tenth.
+
+    They are apart from a robust line, and neither a part of the run nor other poses at their angle are as
+    well.
+    """
+    left_deg = _off_robust_line_deg(r.theta_deg, r.values[:, 0])
+    far = np.abs(left_deg) > max(OUTLIER_STD * robust_std(left_deg), GROSS_DEG)
+    step_deg = float(np.median(np.abs(np.diff(r.theta_deg))))
+    alone = [
+        k
+        for k in np.flatnonzero(far).tolist()
+        if not _is_in_stretch(far, r.run, k) and not _is_of_angle(r, left_deg, k, step_deg)
+    ]
+    return np.array(alone if far.mean() <= GROSS_SHARE else [], dtype=np.intp)
+
+
+def _is_in_stretch(far: npt.NDArray[np.bool_], run: Intp, k: int) -> bool:
+    """Return whether most poses just before or just after one, in its run, are far too."""
+    reach = REACH[-1]
+    sides = slice(max(k - reach, 0), k), slice(k + 1, k + 1 + reach)
+    own = [far[side][run[side] == run[k]] for side in sides]
+    return any(2 * side.sum() > len(side) for side in own)
+
+
+def _is_of_angle(r: Responses, left_deg: FloatArray, k: int, step_deg: float) -> bool:
+    """Return whether enough of the poses at the angle of one, taken at other times, are off to its side."""
+    near = np.abs(wrap_deg(r.theta_deg - r.theta_deg[k])) <= step_deg
+    near &= np.abs(np.arange(len(r)) - k) > REACH[-1]
+    along = left_deg[near] * np.sign(left_deg[k]) > AGAIN * abs(left_deg[k])
+    return bool(along.sum() > OF_ANGLE * len(along))
+
+
+def beyond(r: Responses, residual_deg: FloatArray) -> int:
+    """Return how many poses are as far off as outliers from a model, which leaves (n,) of them.
+
+    Many of them turn the model, and widen the spread about it, so that a robust line counts beside it.
+    """
+    off_line_deg = _off_robust_line_deg(r.theta_deg, r.values[:, 0])
+    both_deg = np.stack([residual_deg - np.median(residual_deg), off_line_deg])
+    spread_deg = max(min(map(robust_std, both_deg)), float(r.rounding[0]))
+    return int((np.abs(both_deg).min(axis=0) > OUTLIER_STD * spread_deg).sum())
+
+
+def _off_robust_line_deg(theta_deg: FloatArray, value_deg: FloatArray) -> FloatArray:
+    """Return (n,) values less their line by the median slope between poses half of all apart.
+
+    It is that of Theil (Proc. Kon. Ned. Akad. v. Wetensch. A 53, 1950) by fewer pairs.
+    """
+    order, half = np.argsort(theta_deg, kind="stable"), len(theta_deg) // 2
+    apart_deg, rise_deg = (one[order[-half:]] - one[order[:half]] for one in (theta_deg, value_deg))
+    slopes = rise_deg[apart_deg > 0.0] / apart_deg[apart_deg > 0.0]
+    left_deg = value_deg - (np.median(slopes) if len(slopes) else 0.0) * theta_deg
+    return np.asarray(left_deg - np.median(left_deg))
 
 
 def outliers(r: Responses, accepted: Sequence[Candidate], most: int, gain_to_beat: float = 0.0) -> Intp:

@@ -36,7 +36,7 @@ from calrig.calibration.diagnosis.candidates import (
     rebuilt,
 )
 from calrig.calibration.diagnosis.families import place_slope
-from calrig.calibration.diagnosis.outliers import most_outliers, outliers
+from calrig.calibration.diagnosis.outliers import gross_errors, most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
@@ -424,6 +424,7 @@ def drawn_residuals(
         DiagnosisError: the poses cannot show an effect (any more).
     """
     r = responses_of(runs, run_ids, request)
+    r = r.rows(np.delete(np.arange(len(r)), gross_errors(r)))
     chosen = likeliest_forms(r, [_forms(r, effect) for effect in effects])
     fewest = len(r) - most_outliers(len(r))
     model = fitted_model(r, chosen)

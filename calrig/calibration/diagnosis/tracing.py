@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.diagnosis.candidates import candidates_of
 from calrig.calibration.diagnosis.conclusion import conclude
@@ -28,6 +29,7 @@ from calrig.calibration.diagnosis.held_out import (
     worse,
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
+from calrig.calibration.diagnosis.outliers import beyond, gross_errors, most_outliers
 from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, left_deg, model_words
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
@@ -107,10 +109,12 @@ def diagnose(
         raise DiagnosisError(f"{n_poses:,} poses; at most {MOST_POSES:,} are diagnosed: {fewer}")
     whole, is_derived = with_approach(given)
     r = responses_of(whole, names_of(runs, given, run_ids), request)
+    right = np.delete(np.arange(len(r)), gross_errors(r))
+    r = r.rows(right)
     candidates = candidates_of(r)
     rng = np.random.default_rng(seed)
     findings = established(search(r, candidates, rng, bootstraps=bootstraps), draws=True)
-    kept, outliers = _parted(whole, findings)
+    kept, outliers = _parted(whole, right[findings.kept])
     left = findings.responses
     findings = replace(findings, found=standing_without_one(left, findings.found))
     _require_that_readings_follow(findings)
@@ -135,6 +139,12 @@ def diagnose(
     in_order = not left.starts.all()
     said = warning_of(lack, found=bool(findings.found), temperature=has_temperature, in_order=in_order)
     told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
+    most, more = most_outliers(len(r)), beyond(left, findings.fitted.residuals[:, 0])
+    if more and len(r) - len(left) + more > most:
+        outliers.append(
+            f"{more} more poses lie as far from what the model says and count all the same, since at most "
+            f"{most} of {len(r)} are left out: look at reading_deg, and leave out what is wrong"
+        )
     derived = [DERIVED_APPROACH] if is_derived and _rests_on_approach(findings) else []
     warnings = (*outliers, *incomplete, *derived, *r.warnings, *harm, *told)
     return Diagnosis(kept, findings, held_out, blocks, lack, warnings)
@@ -190,10 +200,9 @@ def _require_that_readings_follow(findings: Findings) -> None:
 
 
 def _parted(
-    runs: Sequence[Sequence[Pose]], findings: Findings
+    runs: Sequence[Sequence[Pose]], used: npt.NDArray[np.intp]
 ) -> tuple[tuple[tuple[Pose, ...], ...], list[str]]:
-    """Return the runs less the outliers of a search, and a sentence on those of each."""
-    used = set(findings.kept.tolist())
+    """Return the poses of runs that are used, by their places, and a sentence on the others of each."""
     kept, said, first = [], [], 0
     for number, run in enumerate(runs):
         where = f" of run {number}" if len(runs) > 1 else ""

@@ -238,10 +238,8 @@ def responses_of(
     move = np.nan_to_num(np.concatenate([moves_deg(run) for run in kept]))
     table = Channels(theta, move, starts, run_index)
     error = reading_error_deg(theta, reading)
-    is_turned = np.abs(theta + error - reading) > 180.0
-    if is_turned.any():
-        which = "all" if is_turned.all() else "some"
-        warnings.append(f"{which} readings were taken on another turn, on which they follow the stage")
+    if np.ptp(theta + error - reading) > 180.0:
+        warnings.append("some readings were taken on another turn, on which they come nearest to the others")
     table.add(READING, error, turn_size(theta, reading), bias_each_run=False, scaled=True)
     add_witnesses(table, poses, theta, move, starts)
     if has_history(poses):

@@ -35,12 +35,13 @@ STEEPEST_DEG = 80.0
 """Beyond it the angle says next to nothing of an error of y; as in the effect `nonlinearity`."""
 
 
-def raw_error_deg(pose: Pose, sense: int = 1) -> float:
-    """Reading less what the stage said, its map or no map, degrees, on the turn about 0.
+def raw_error_deg(pose: Pose, sense: int = 1, bias_deg: float = 0.0) -> float:
+    """Reading less what the stage said, its map or no map, degrees, on the turn about the bias where known.
 
     `sense` is −1 of a unit whose face was turned about the vertical: it reads the elevation's negative.
     """
-    return float(wrap_deg(pose.reading_deg - sense * (pose.theta_deg - (pose.map_deg or 0.0))))
+    off_deg = pose.reading_deg - sense * (pose.theta_deg - (pose.map_deg or 0.0))
+    return float(bias_deg + wrap_deg(off_deg - bias_deg))
 
 
 def residuals(poses: Sequence[Pose], bias_deg: float, scale: float | None) -> list[float | None]:

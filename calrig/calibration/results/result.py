@@ -126,7 +126,7 @@ def build_result(
         bias_std_deg=line.bias_std_deg,
         scale=line.scale,
         scale_std=line.scale_std,
-        rms_raw_deg=rms(np.array([raw_error_deg(pose) for pose in poses])),
+        rms_raw_deg=rms(np.array([raw_error_deg(pose, bias_deg=line.bias_deg) for pose in poses])),
         rms_calibrated_deg=_known(rms(calibrated_deg)),
         rms_with_effects_deg=None if with_effects is None else _known(rms(with_effects[1])),
         n_poses=len(poses),

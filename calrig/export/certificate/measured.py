@@ -64,7 +64,8 @@ class Measured:
         if self.came_with is not None:
             return self._left_deg(self.came_with, _own(self.came_with))
         theta, reading = angles_deg(self.poses)
-        return np.asarray(wrap_deg(reading - theta))
+        bias_deg = self.document["bias_deg"]
+        return np.asarray(bias_deg + wrap_deg(reading - theta - bias_deg))
 
     def left_deg(self) -> FloatArray:
         """(n,) errors with this calibration."""
@@ -77,7 +78,8 @@ class Measured:
         of the document.
         """
         theta, reading = angles_deg(self.poses)
-        raw_deg = np.array([raw_error_deg(pose) for pose in self.poses])
+        bias_deg = self.document["bias_deg"]
+        raw_deg = np.array([raw_error_deg(pose, bias_deg=bias_deg) for pose in self.poses])
         steps = [_step("As the unit reads", raw_deg)]
         is_solved = "elevation_std_deg" in self.document  # 0 and 1 are its bias and scale, all is in effects
         effects = [*_of_stage(self.of_stage), *_own(self.document)]
