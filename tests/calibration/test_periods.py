@@ -130,7 +130,7 @@ def test_a_worm_between_the_steps_of_an_exact_grid_is_one_of_a_set_the_longest_f
     assert longest_but_one == pytest.approx(9.0, abs=0.05)
 
 
-@pytest.mark.parametrize("jitter_deg", [0.0, 0.05])
+@pytest.mark.parametrize("jitter_deg", one_now([0.05, 0.0]))
 def test_a_wave_of_twice_an_even_step_alternates_and_is_no_wave_of_any_amplitude(jitter_deg):
     rng = np.random.default_rng(10)
     targets = 3.0 * np.arange(60) + rng.uniform(-jitter_deg, jitter_deg, 60)
@@ -427,7 +427,7 @@ def test_waves_that_are_an_offset_of_each_stroke_are_no_periods(shift_deg):
     assert all(abs(1.0 / one - 1.0 / 1.44) >= 1.0 / r.arc_deg for one in periods)
 
 
-@pytest.mark.parametrize("share", [0.2, 0.37, 0.55])
+@pytest.mark.parametrize("share", one_now([0.37, 0.2, 0.55]))
 def test_an_iron_beside_a_compass_is_an_eccentricity_with_its_orders(share):
     """Its field, a share of the Earth's, turns the needle by atan2; order k is shareᵏ/k rad (Fourier)."""
     rng = np.random.default_rng(3)
