@@ -5,11 +5,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
+from typer import testing
 from typer.testing import CliRunner, Result
 
 from calrig.cli.main import app
+
+# The tree of all commands is made once: made anew for each, it takes longer than most of them do.
+testing._get_command = cache(testing._get_command)
 
 RIG = """
 [[rig]]

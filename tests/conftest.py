@@ -22,6 +22,7 @@ from typing import Any
 
 import httpx
 import pytest
+from empty_store import in_a_hurry
 from hypothesis import HealthCheck, settings
 from postgresql_server import (  # noqa: F401 (fixtures)
     _stores_are_databases,
@@ -105,6 +106,12 @@ def _processes_are_shared() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patched:
         for module in (unit_of_work, stored_runs, follow_up):
             patched.setattr(module, "run_in_subprocess", in_shared_process)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_power_is_cut() -> Iterator[None]:
+    with in_a_hurry():
         yield
 
 

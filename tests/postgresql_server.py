@@ -8,6 +8,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import shutil
 import tempfile
 import uuid
 from collections.abc import Callable, Iterator
@@ -88,16 +89,26 @@ def _stores_are_databases(postgresql_template: tuple[str, str]) -> Iterator[None
     _SERVER.clear()
 
 
-def store_at(path: Path) -> str:
-    """URL of a test's store, empty where it is new: a file, or a database as CALRIG_TEST_ENGINE says."""
+def store_at(path: Path, copy_of: Path | None = None) -> str:
+    """URL of a test's store: a file, or a database as CALRIG_TEST_ENGINE says.
+
+    Where it is new it is empty, or a copy of that at another path, which nobody has open.
+    """
     if ENGINE != "postgresql":
-        lay_empty_store(path)
+        if copy_of is None:
+            lay_empty_store(path)
+        elif not path.exists():
+            shutil.copy(copy_of, path)
         return f"sqlite:///{path}"
     server, template = _SERVER[0]
-    name = f"calrig_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
+    name = _database_of(path)
     with _as_superuser(server) as run, suppress(ProgrammingError):  # it is there already
-        run(f"CREATE DATABASE {name} TEMPLATE {template}")
+        run(f"CREATE DATABASE {name} TEMPLATE {template if copy_of is None else _database_of(copy_of)}")
     return _url(server, name)
+
+
+def _database_of(path: Path) -> str:
+    return f"calrig_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
 
 
 def on_a_server(item: pytest.Item) -> bool:

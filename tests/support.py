@@ -10,7 +10,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
@@ -20,6 +20,7 @@ from socketserver import BaseServer
 from typing import Any, TypeVar
 
 import httpx
+import pytest
 import sqlalchemy
 from postgresql_server import store_at
 from repository import SHARED
@@ -123,6 +124,12 @@ def after_commits(look: Callable[[], T], clock: VirtualClock) -> Callable[[], T 
         return look()
 
     return looks
+
+
+def one_now(values: Iterable[T]) -> list[Any]:
+    """The first of several draws or cases of one kind, and the others among the statistical tests."""
+    first, *others = values
+    return [first, *(pytest.param(one, marks=pytest.mark.statistical) for one in others)]
 
 
 POSES = "target_deg,reading_deg\n-40,-39.1\n-10,-9.3\n10,10.9\n40,40.8\n"

@@ -13,7 +13,7 @@ IMU = {"accel_bias_mg": [0, 12, -16], "accel_gain_error_pct": [0, 0.8, 0]}
 PLAN = {
     "start_deg": -60,
     "stop_deg": 60,
-    "step_deg": 5,
+    "step_deg": 10,
     "sweeps": 2,
     "settle_s": 0.5,
     "dwell_s": 1.0,

@@ -81,7 +81,9 @@ def follows_stage(
     return np.asarray((size >= MIN_SCALE) & ~may_be_noise & (np.asarray(left_deg) < FARTHEST_STD_DEG))
 
 
-def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False) -> Line:
+def fit_line(
+    theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool = False, doubts: bool = True
+) -> Line:
     """Fit bias and scale to reading − θ, so that a turn more or less does not matter.
 
     Ordinary least squares about the mean of θ (Draper & Smith, Applied Regression Analysis, 1998, section
@@ -93,6 +95,7 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
         reading_deg: (n,) readings.
         one_angle: the poses were all commanded to one angle: what θ scatters by is then the stage's
             noise and says nothing of a scale. All θ equal is seen without being told.
+        doubts: whether to tell what they are worth, too, which takes as long again.
 
     Raises:
         ValueError: no pose, shapes that differ, or a number that is not finite.
@@ -106,7 +109,7 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
     if one_angle or np.ptp(theta_deg) == 0.0:
         level = float(error.mean())
         bias = float(bias_on_turn_deg(level, theta_deg, reading_deg, error))
-        if n < 2:
+        if n < 2 or not doubts:
             return Line(bias, None, None, None, None, None)
         covariance, variance = covariance_over_correlations(np.ones((n, 1)), error - level)
         return Line(bias, None, math.sqrt(covariance[0, 0]), None, None, math.sqrt(variance))
@@ -115,7 +118,7 @@ def fit_line(theta_deg: FloatArray, reading_deg: FloatArray, *, one_angle: bool 
     slope = float(theta @ error) / float(theta @ theta)
     level = float(error.mean())
     bias = float(bias_on_turn_deg(level - slope * centre, theta_deg, reading_deg, error))
-    if n < 3:
+    if n < 3 or not doubts:
         return Line(bias, 1.0 + slope, None, None, None, None)
     unit_deg = float(np.abs(theta).max())
     design = np.column_stack([np.ones(n), theta / unit_deg])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from a_bench import ENDLESS, Cable, Delivery, HandWritten, Rig, agent_at
+from postgresql_server import store_at
 from support import QUICK, wait_for
 
 from calrig.agent.link import LinkDown
@@ -47,7 +48,7 @@ def test_cut_off_in_mid_run_the_bench_ends_it_and_goes_on_delivering_where_it_wa
     assert sorted(set(told.poses)) == list(range(90))
     states = {event["seq"]: event["data"]["status"] for event in told.events if event["type"] == "state"}
     assert [*states.values()] == ["queued", "running", "completed"]
-    with Store.open(f"sqlite:///{spool}", writer=None) as store:
+    with Store.open(store_at(spool), writer=None) as store:
         assert told.n_samples == len(store.samples.of(run_id))
 
 
@@ -143,7 +144,7 @@ def test_a_parcel_whose_receipt_was_lost_is_delivered_again_and_says_the_same(
 
 def test_a_long_log_goes_in_pieces_that_say_how_the_run_stood(spool: Path) -> None:
     n = 2 * EVENTS_A_PARCEL + 100
-    with Store.open(f"sqlite:///{spool}", writer="tests") as store:
+    with Store.open(store_at(spool), writer="tests") as store:
         run = store.runs.create(unit="AS-1", rig="r", plan=None, status="queued", provenance={})
         store.runs.update(run.id, status="running")
         store.events.append(run.id, [("reading", {"time_s": float(k)}) for k in range(n)])

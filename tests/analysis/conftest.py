@@ -17,6 +17,8 @@ def database(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def store(database: Path) -> Iterator[Store]:
-    with Store.open(store_at(database), writer="tests") as opened:
+def store(database: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
+    """Empty, or a copy of the module's own `filled`, a path, for tests that ask for that as well."""
+    begun = request.getfixturevalue("filled") if "filled" in request.fixturenames else None
+    with Store.open(store_at(database, copy_of=begun), writer="tests") as opened:
         yield opened

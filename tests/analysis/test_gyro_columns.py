@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from postgresql_server import store_at
 
 from calrig.analysis.solutions import poses_with_gyro
 from calrig.calibration.poses import Pose
@@ -24,7 +25,7 @@ def block(index, phase, first_s, lasts_s, rate_dps):
 
 @pytest.fixture
 def store(tmp_path):
-    with Store.open(f"sqlite:///{tmp_path}/calrig.db", writer="tests") as opened:
+    with Store.open(store_at(tmp_path / "calrig.db"), writer="tests") as opened:
         yield opened
 
 

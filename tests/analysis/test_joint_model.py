@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from postgresql_server import store_at
 from studies.accepting import (
     EFFECTS,
     FIRST_C,
@@ -55,14 +57,24 @@ def lab(store: Store) -> Lab:
     return Lab(store)
 
 
-@pytest.fixture
-def two(lab: Lab) -> tuple[Run, Run]:
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Runs at two temperatures: the offset is accepted from the first, the temperature term from both."""
+    path = tmp_path_factory.mktemp("two") / "calrig.db"
     rng = np.random.default_rng(3)
-    first = lab.run(measured(rng, FIRST_C), OFFSET, WARMTH)
-    lab.acceptance.accept(first.id, [OFFSET, WARMTH])
-    second = lab.run(measured(rng, SECOND_C), OFFSET, WARMTH)
-    lab.acceptance.accept(second.id, [WARMTH])
+    with Store.open(store_at(path), writer="tests") as store:
+        lab = Lab(store)
+        first = lab.run(measured(rng, FIRST_C), OFFSET, WARMTH)
+        lab.acceptance.accept(first.id, [OFFSET, WARMTH])
+        second = lab.run(measured(rng, SECOND_C), OFFSET, WARMTH)
+        lab.acceptance.accept(second.id, [WARMTH])
+    return path
+
+
+@pytest.fixture
+def two(filled: Path, lab: Lab) -> tuple[Run, Run]:
+    """Both runs, in a store that is the test's own."""
+    second, first = lab.store.runs.page(limit=2)[0]
     return first, second
 
 
@@ -178,9 +190,12 @@ def test_a_later_runs_diagnosis_finds_nothing_that_is_in_force(lab):
     assert own == [], "what was accepted from a run is found in it again"
 
 
-def test_accepting_from_two_runs_gives_the_bias_within_its_standard_errors():
-    found = [outcome(seed) for seed in range(6)]
-    assert sum(abs(one.in_stds) <= 2.0 for one in found) >= 5
+@pytest.mark.parametrize(
+    ("seeds", "most_beyond"), [((1, 2), 0), pytest.param(range(6), 1, marks=pytest.mark.statistical)]
+)
+def test_accepting_from_two_runs_gives_the_bias_within_its_standard_errors(seeds, most_beyond):
+    found = [outcome(seed) for seed in seeds]
+    assert sum(abs(one.in_stds) > 2.0 for one in found) <= most_beyond
     assert np.mean([one.after_both_deg for one in found]) <= np.mean([one.after_one_deg for one in found])
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from postgresql_server import store_at
 from studies.accepting import EFFECTS, FIRST_C, SECOND_C, UNIT, diagnosed_run, measured
 
 from calrig.analysis import unit_of_work
@@ -36,12 +38,22 @@ class Dying(Issuer):
         raise Killed
 
 
-@pytest.fixture
-def run(store: Store) -> Run:
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with one accepted effect, a draft, and an excluded pose."""
-    made = diagnosed_run(store, measured(np.random.default_rng(3), FIRST_C), OFFSET, WARMTH)
-    Acceptance(store).accept(made.id, [OFFSET])
-    return Records(store).exclude_pose(made.id, 5, WHY)
+    path = tmp_path_factory.mktemp("run") / "calrig.db"
+    with Store.open(store_at(path), writer="tests") as store:
+        made = diagnosed_run(store, measured(np.random.default_rng(3), FIRST_C), OFFSET, WARMTH)
+        Acceptance(store).accept(made.id, [OFFSET])
+        Records(store).exclude_pose(made.id, 5, WHY)
+    return path
+
+
+@pytest.fixture
+def run(filled: Path, store: Store) -> Run:
+    """That run, in a store that is the test's own."""
+    ((made,), _) = store.runs.page(limit=1)
+    return made
 
 
 def state(store: Store) -> list[Any]:

@@ -19,11 +19,11 @@ NOISE_DEG = 0.05
 
 
 def encoder():
-    """One turn of an encoder beside its shaft, at 144 uneven angles: target and reading."""
+    """One turn of an encoder beside its shaft, at 96 uneven angles: target and reading."""
     rng = np.random.default_rng(3)
-    target_deg = (np.arange(144) * 2.5 + rng.uniform(-0.8, 0.8, 144)).round(3)
+    target_deg = (np.arange(96) * 3.75 + rng.uniform(-1.2, 1.2, 96)).round(3)
     error_deg = sum(a * np.sin(np.radians(k * target_deg + phase)) for k, (a, phase) in ORDERS.items())
-    return target_deg, (target_deg + 3.0 + error_deg + rng.normal(0.0, NOISE_DEG, 144)).round(4)
+    return target_deg, (target_deg + 3.0 + error_deg + rng.normal(0.0, NOISE_DEG, 96)).round(4)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from calrig.analysis import diagnoses, stored_runs
 from calrig.api import imports, job, jobs
 from calrig.processes import pool
 
-TARGETS = [x for x in range(-60, 61, 5) for _ in range(2)]
+TARGETS = [x for x in range(-60, 61, 10) for _ in range(2)]
 RANDOM = random.Random(1)
 MANY = "target_deg,reading_deg\n" + "".join(f"{x},{x + 0.8 + RANDOM.gauss(0, 0.03):.4f}\n" for x in TARGETS)
 LOG = "time_s,gyro_x_dps\n" + "".join(f"{k / 100},{RANDOM.gauss(0, 0.1):.5f}\n" for k in range(3000))

@@ -37,11 +37,8 @@ def test_no_path_or_query_reaches_a_file_or_the_database(shared_client, run, pat
     # Not by httpx, which takes `..` out of a path by itself.
     connection = HTTPConnection(shared_client.base_url.host, shared_client.base_url.port, timeout=PATIENCE_S)
     for nasty in NASTY:
-        for written in (
-            quote(nasty, safe=""),
-            quote(nasty, safe="").replace(".", "%2e"),
-            quote(nasty, safe="/"),
-        ):
+        quoted = quote(nasty, safe="")
+        for written in {quoted, quoted.replace(".", "%2e"), quote(nasty, safe="/")}:
             connection.request("GET", path.replace("RUN", run["id"]).format(written))
             answer = connection.getresponse()
             text = answer.read().decode()

@@ -19,7 +19,7 @@ from calrig.simulator.config import ImuOptions, MountOptions
 from calrig.simulator.imu import Imu, Surroundings
 from calrig.simulator.trajectory import Turn
 
-N_POSES = 120
+N_POSES = 80
 SETTLE_S, DWELL_S, MOVE_S = 1.0, 2.0, 2.0
 NOISE_DEG = 0.01
 

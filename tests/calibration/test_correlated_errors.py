@@ -27,8 +27,8 @@ def test_the_covariance_equals_one_by_whole_matrices_and_a_fine_quadrature(rho, 
     noise = noise_of(np.random.default_rng(seed), 1, n, rho, 0.0)[0]
     residual = noise - design @ np.linalg.lstsq(design, noise, rcond=None)[0]
     contrasts = np.linalg.svd(design)[0][:, 2:].T  # orthonormal, and blind to the line
-    sigma = np.geomspace(0.05, 30.0, 400)
-    correlations = np.linspace(LEAST_CORRELATION, LARGEST_CORRELATION, 1500)
+    sigma = np.geomspace(0.05, 30.0, 200)
+    correlations = np.linspace(LEAST_CORRELATION, LARGEST_CORRELATION, 400)
     weights, squares, variances = [], [], []
     for one in correlations:
         matrix = toeplitz(one ** np.arange(n))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from posed import posed
+from support import one_now
 
 from calrig.calibration.diagnosis import diagnose
 from calrig.calibration.diagnosis.candidates import candidates_of
@@ -107,7 +108,7 @@ def test_errors_beside_a_curve_are_of_the_elevation_that_solves_it() -> None:
     assert stated["fit_rms_deg"] == pytest.approx(rms(solved_deg - theta_deg), rel=0.02)
 
 
-@pytest.mark.parametrize("offset_g", [0.08, -0.08])
+@pytest.mark.parametrize("offset_g", one_now([0.08, -0.08]))
 def test_errors_beside_an_offset_of_the_axes_are_of_the_elevation_that_solves_it(offset_g: float) -> None:
     """From 0 to 80° with 80 mg on an axis, the angle of gravity grows by up to 8 % more, or less."""
     theta_deg = np.repeat(np.arange(0.0, 81.0, 2.0), 4)

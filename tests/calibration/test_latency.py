@@ -80,7 +80,7 @@ DELAY_S, ORDER_2_DEG, NOISE_DEG = 0.035, 8.0, 0.05
 def three_turns(seed=0):
     """Three turns to and fro at 36°/s, with an order 2 of the angle that the late reading has."""
     rng = np.random.default_rng(seed)
-    time_s = 0.25 * np.arange(400) + rng.uniform(0.0, 0.06, 400)
+    time_s = 0.5 * np.arange(200) + rng.uniform(0.0, 0.12, 200)
     late_deg = strokes_deg(time_s - DELAY_S, 540.0, 36.0)
     reading_deg = late_deg + ORDER_2_DEG * np.sin(2.0 * np.radians(late_deg) + 0.4)
     reading_deg += rng.normal(0.0, NOISE_DEG, len(time_s))

@@ -8,6 +8,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 from posed import posed
+from support import one_now
 
 from calrig.calibration.diagnosis.candidate_fits import refined
 from calrig.calibration.diagnosis.candidates import candidate_of, candidates_of, harmonics_of
@@ -50,7 +51,7 @@ def test_four_waves_a_turn_at_irregular_poses_are_order_4_of_the_turn():
     assert "order 4 of the turn" in effect["evidence"]
 
 
-@pytest.mark.parametrize("first_deg", [27.0, 207.0])
+@pytest.mark.parametrize("first_deg", one_now([27.0, 207.0]))
 def test_a_sensor_over_its_own_turn_has_its_orders_wherever_the_table_begins(first_deg):
     """Even steps; small orders beside large ones, as hand fits of a public encoder's table found them."""
     amplitudes_deg = {1: 1.542, 2: 0.125, 3: 0.037, 4: 0.044, 5: 0.013, 50: 0.035, 100: 0.038}
@@ -83,7 +84,7 @@ def turned_once(rng, *, over_deg=360.0):
     return {"target_deg": targets, "reading_deg": readings, **gravity}, seen
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.statistical) for k in range(1, 6))])
+@pytest.mark.parametrize("seed", one_now(range(6)))
 def test_an_angle_of_the_accelerometer_that_wraps_takes_neither_the_scale_nor_the_turns_order(seed):
     columns, seen = turned_once(np.random.default_rng(200 + seed))
     found = document(diagnose([posed(**columns, accel_deg=wrap_deg(seen))], bootstraps=199), ["a run"])
@@ -143,7 +144,7 @@ def test_one_pose_off_a_nearly_even_spacing_does_not_make_a_wave_its_alias():
     assert any("2.07" in said for said in effect["evidence"] if "would look the same" in said)
 
 
-@pytest.mark.parametrize("jitter_deg", [0.0, 0.05])
+@pytest.mark.parametrize("jitter_deg", one_now([0.05, 0.0]))
 def test_a_wave_of_twice_an_even_step_alternates_and_is_no_wave_of_any_amplitude(jitter_deg):
     rng = np.random.default_rng(10)
     targets = 3.0 * np.arange(60) + rng.uniform(-jitter_deg, jitter_deg, 60)
@@ -274,7 +275,7 @@ def worm_read_finely(worm_deg, seed):
 
 
 @pytest.mark.parametrize("worm_deg", [2.7, 2.5])  # the latter is an order of the turn
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.statistical) for k in (1, 2, 3))])
+@pytest.mark.parametrize("seed", one_now(range(4)))
 def test_a_strong_worm_is_one_period_and_predicts_as_well_as_a_fit_by_who_knows_it(worm_deg, seed):
     targets_deg, readings_deg = worm_read_finely(worm_deg, seed)
     poses = posed(target_deg=targets_deg, reading_deg=readings_deg)
@@ -340,7 +341,7 @@ def test_the_standard_error_of_a_worm_s_period_allows_for_its_harmonics():
     assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.4)  # three times 1/√(2·30)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.statistical) for k in (1, 2))])
+@pytest.mark.parametrize("seed", one_now(range(3)))
 def test_orders_of_an_axis_and_the_electrical_period_of_its_motor_are_found_at_once(seed):
     rng = np.random.default_rng(17 + seed)
     sizes = {1: 0.4, 2: 0.2, 4: 0.3, 8: 0.1, 50: 0.08}
@@ -402,7 +403,7 @@ def test_poses_of_many_turns_at_the_same_few_degrees_carry_no_order_of_the_turn(
     assert not any(f.candidate.named for f in found)
 
 
-@pytest.mark.parametrize("seed", [0, 2, 7])
+@pytest.mark.parametrize("seed", one_now([0, 2, 7]))
 def test_orders_of_a_closed_turn_are_not_one_curve_beside_other_orders(seed: int) -> None:
     rng = np.random.default_rng(seed)
     theta_deg = np.sort(rng.uniform(0.0, 360.0, 200))
@@ -440,7 +441,7 @@ def test_waves_that_are_an_offset_of_each_stroke_are_no_periods(shift_deg):
     assert all(abs(1.0 / one - 1.0 / 1.44) >= 1.0 / r.arc_deg for one in periods)
 
 
-@pytest.mark.parametrize("share", [0.2, 0.37, 0.55])
+@pytest.mark.parametrize("share", one_now([0.37, 0.2, 0.55]))
 def test_an_iron_beside_a_compass_is_an_eccentricity_with_its_orders(share):
     """Its field, a share of the Earth's, turns the needle by atan2; order k is shareᵏ/k rad (Fourier)."""
     rng = np.random.default_rng(3)

@@ -96,6 +96,7 @@ def test_a_run_is_the_services_and_ends_with_its_verdict(there):
 
 
 def test_names_are_completed_from_the_store_and_without_one_nothing_is_said(folder):
+    (folder / "calrig.db").unlink()
     assert completed("watch", "") == completed("run", "--unit", "") == []
     assert not (folder / "calrig.db").exists()
     calrig("import", "poses.csv", "--unit", "KEPT-1")

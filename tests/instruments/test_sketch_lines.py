@@ -184,7 +184,7 @@ def cut(data, places):
 
 
 @ALL
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_how_the_bytes_are_cut_changes_nothing(text, data):
     records = data.draw(st.lists(text.records(), min_size=1, max_size=5))
@@ -219,7 +219,7 @@ def damaged(draw, text):
 
 
 @ALL
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_nothing_is_taken_that_did_not_come_as_a_whole_line(text, data):
     sent = data.draw(damaged(text))
@@ -230,7 +230,7 @@ def test_nothing_is_taken_that_did_not_come_as_a_whole_line(text, data):
 
 
 @ALL
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_the_reader_recovers_with_the_next_record(text, data):
     last = data.draw(text.records())

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
+from postgresql_server import store_at
 from run_rigs import CLOCK, TruthRig
 
 from calrig.runs.service import RunService
@@ -25,7 +26,7 @@ def _time_stands() -> Iterator[None]:
 def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
     """One store for all runs of this folder: each test looks at its own runs only."""
     path = tmp_path_factory.mktemp("runs") / "calrig.db"
-    with Store.open(f"sqlite:///{path}", writer="tests") as opened:
+    with Store.open(store_at(path), writer="tests") as opened:
         yield opened
 
 

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from postgresql_server import store_at
 
 from calrig.analysis.errors import Conflict
 from calrig.runs.batches import RunBatches
@@ -33,7 +34,7 @@ class Later:
 
 @pytest.fixture
 def own_store(tmp_path: Path) -> Iterator[Store]:
-    with Store.open(f"sqlite:///{tmp_path / 'calrig.db'}", writer="tests") as opened:
+    with Store.open(store_at(tmp_path / "calrig.db"), writer="tests") as opened:
         yield opened
 
 

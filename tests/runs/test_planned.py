@@ -58,7 +58,7 @@ def test_the_first_run_of_a_rig_whose_clock_is_fast_is_told_with_what_its_exchan
 def test_a_pause_of_the_last_run_is_not_expected_of_the_next(make_rig, serve):
     bench = make_rig("paused", time_scale=1.0, stage=PACE)
     service = serve(bench)
-    run = service.start(unit="AS-1", plan=plan(elevations_deg=None, step_deg=5, sweeps=1, rate_hz=20))
+    run = service.start(unit="AS-1", plan=plan(elevations_deg=None, step_deg=10, sweeps=1, rate_hz=20))
     service.pause(run.id)
     until_written(lambda: service.store.runs.get(run.id).status == "paused", "a pause")
     CLOCK.sleep(60.0)

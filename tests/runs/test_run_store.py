@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from postgresql_server import store_at
 from run_rigs import TruthRig, begin, events, plan, until
 from sqlalchemy import event
 
@@ -36,7 +37,7 @@ READ_ONLY = ("query_only = ON", "query_only = OFF", "read-only: make both writab
 
 @pytest.fixture
 def own_service(bench: TruthRig, tmp_path: Path) -> Iterator[RunService]:
-    with Store.open(f"sqlite:///{tmp_path / 'calrig.db'}", writer="tests") as store:
+    with Store.open(store_at(tmp_path / "calrig.db"), writer="tests") as store:
         service = RunService(store, [bench.settings])
         yield service
         service.close()

@@ -117,7 +117,7 @@ def test_a_sweep_that_was_interrupted_goes_on_with_the_next_pass(
 def test_a_pass_in_which_the_board_was_reset_is_turned_anew(
     make_rig: MakeRig, serve: Serve, store: Store
 ) -> None:
-    rig = make_rig(time_scale=1.0, imu=QUIET)
+    rig = make_rig(time_scale=5.0, imu=QUIET)
     service = serve(rig)
     run = begin(service, SWEEP)
     until_stored(store, run, 1)
@@ -171,7 +171,7 @@ def stall(rig: TruthRig, monkeypatch: pytest.MonkeyPatch, every_s: float = math.
     before = clock._now_s
 
     def now_s() -> float:
-        times, since_s = divmod(CLOCK.now_s() - began_s, every_s)
+        times, since_s = divmod(rig.time_scale * (CLOCK.now_s() - began_s), every_s)
         return before() - 0.25 * times - min(since_s, 0.25)
 
     monkeypatch.setattr(clock, "_now_s", now_s)
@@ -187,7 +187,7 @@ def in_the_midst_of_a_pass(rig: TruthRig, store: Store, run: Run, n_poses: int) 
 def test_a_pass_in_which_the_rig_stood_for_a_moment_is_turned_anew(
     make_rig: MakeRig, serve: Serve, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = make_rig(time_scale=1.0, imu=QUIET)
+    rig = make_rig(time_scale=5.0, imu=QUIET)
     service = serve(rig)
     run = begin(service, SHORT_SWEEP)
     in_the_midst_of_a_pass(rig, store, run, 8)
@@ -205,7 +205,7 @@ def test_a_pass_in_which_the_rig_stood_for_a_moment_is_turned_anew(
 def test_passes_that_are_never_even_end_the_run_with_those_before_if_both_senses_are_there(
     make_rig: MakeRig, serve: Serve, store: Store, monkeypatch: pytest.MonkeyPatch, good: int
 ) -> None:
-    rig = make_rig(time_scale=1.0, imu=QUIET)
+    rig = make_rig(time_scale=5.0, imu=QUIET)
     service = serve(rig)
     run = begin(service, SHORT_SWEEP.model_copy(update={"sweeps": 3}))
     n_whole = 1 + 7 * good

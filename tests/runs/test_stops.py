@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from empty_store import lay_empty_store
+from postgresql_server import store_at
 from run_rigs import CLOCK, ENDLESS, TruthRig, begin, moving, pass_time, plan, until
 from support import fast, known_as, wait_for
 
@@ -90,7 +91,7 @@ def test_a_stop_is_made_and_answered_though_the_store_is_locked(bench: TruthRig,
     path = tmp_path / "calrig.db"
     lay_empty_store(path)
     with (
-        Store.open(f"sqlite:///{path}", writer="tests", busy_timeout_s=0.1) as store,
+        Store.open(store_at(path), writer="tests", busy_timeout_s=0.1) as store,
         closing(RunService(store, [bench.settings])) as service,
     ):
         run = begin(service, ENDLESS)
@@ -114,7 +115,7 @@ def test_a_run_whose_pose_waits_for_a_locked_store_hears_a_stop_at_once(tmp_path
     lay_empty_store(path)
     with (
         SimulatedRig(fast({})) as bench,
-        Store.open(f"sqlite:///{path}", writer="tests", busy_timeout_s=30.0) as store,
+        Store.open(store_at(path), writer="tests", busy_timeout_s=30.0) as store,
         closing(RunService(store, [known_as("bench-1", bench)])) as service,
         closing(sqlite3.connect(path, isolation_level=None)) as somebody,
     ):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from postgresql_server import store_at
 from support import at_work, wait_for
 
 from calrig.runs.service import RunService
@@ -59,7 +60,7 @@ def listener() -> Iterator[Listener]:
 
 @pytest.fixture
 def own_store(tmp_path: Path) -> Iterator[Store]:
-    with Store.open(f"sqlite:///{tmp_path / 'calrig.db'}", writer="tests") as opened:
+    with Store.open(store_at(tmp_path / "calrig.db"), writer="tests") as opened:
         yield opened
 
 

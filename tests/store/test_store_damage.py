@@ -64,7 +64,7 @@ def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
     sound = database.read_bytes()
     dice = random.Random(5)
     said = 0
-    for _ in range(30):
+    for _ in range(20):
         flipped = bytearray(sound)
         at = dice.randrange(len(flipped))
         flipped[at] ^= 1 << dice.randrange(8)
@@ -81,7 +81,7 @@ def test_a_flipped_bit_is_said_or_does_no_harm_and_never_gives_another_number(
         said += bool(refused)
         wrong = [n for n, a in answers.items() if not isinstance(a, StoreError) and not same(n, a, truth[n])]
         assert wrong == [], f"byte {at}"
-    assert said > 10, "most of a store is samples, and each block of them has a checksum"
+    assert said > 7, "most of a store is samples, and each block of them has a checksum"
 
 
 def read_samples(url: str, run_id: str, writer: str | None) -> None:

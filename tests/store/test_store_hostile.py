@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from empty_store import lay_empty_store
 from test_store_migrations import later_program
 from test_store_trouble import filled
 
@@ -165,7 +166,8 @@ def plant(database: Path, statement: str) -> bytes:
 
 
 @pytest.fixture
-def honest_store(url: str) -> None:
+def honest_store(url: str, database: Path) -> None:
+    lay_empty_store(database)
     with Store.open(url, writer="test") as store:
         store.runs.create(unit="A", rig="r", plan=None, status="running", provenance={})
 

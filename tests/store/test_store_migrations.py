@@ -8,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from empty_store import lay_empty_store
 from sqlalchemy import create_engine
 
 from calrig.settings import packed
@@ -44,7 +45,8 @@ def later_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str = "
 
 
 @pytest.fixture
-def filled(url: str) -> str:
+def filled(url: str, database: Path) -> str:
+    lay_empty_store(database)
     with Store.open(url, writer="serve") as store:
         return store.runs.create(unit="A", rig="r", plan=None, status="completed", provenance={}).id
 

@@ -18,7 +18,9 @@ from empty_store import lay_empty_store
 import calrig
 from calrig.store import Store, StoreError, StoreUnavailableError
 from calrig.store.sqlite import copying
+from calrig.store.sqlite import database as opened_database
 from calrig.store.sqlite.errors import store_error
+from calrig.store.sqlite.file import connect
 
 ROOT = Path(calrig.__file__).parent.parent
 
@@ -130,8 +132,9 @@ def test_an_absent_database_is_not_made_by_a_reader(database, url):
     assert not database.exists()
 
 
-def test_the_pragmas_that_keep_data_safe_are_on(store, database):
-    with store._database.reading() as session:
+def test_the_pragmas_that_keep_data_safe_are_on(url, monkeypatch):
+    monkeypatch.setattr(opened_database, "connect", connect)  # as everybody's, not as these tests'
+    with Store.open(url, writer="test") as store, store._database.reading() as session:
         values = [
             session.connection().exec_driver_sql(f"PRAGMA {name}").scalar()
             for name in ("journal_mode", "foreign_keys", "synchronous", "busy_timeout")

@@ -97,7 +97,7 @@ def test_a_toggle_shows_residuals_of_the_plain_fit(page, client, go, expect, run
         return math.sqrt(sum(value**2 for value in values) / len(values))
 
     expect(title).to_contain_text("with effects")
-    expect(cells).to_have_count(50)
+    expect(cells).to_have_count(26)
     assert rms_shown() == pytest.approx(runs[1]["result"]["rms_with_effects_deg"])
     before = cells.first.text_content()
     page.get_by_label("Plain fit of bias and scale").check()

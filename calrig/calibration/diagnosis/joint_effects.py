@@ -260,7 +260,8 @@ class _TestedRun:
         effects = [*model, *self.of_rig]
         try:
             seen, asked = self.given.rows(train), self.given.rows(test)
-            line = fit_line_with_effects(self.theta_deg[train], self.reading_deg[train], effects, seen)
+            angles = self.theta_deg[train], self.reading_deg[train]
+            line = fit_line_with_effects(*angles, effects, seen, doubts=False)
             theta_deg = self.theta_deg[test]
             felt_deg = felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
             added_deg = effects_on_reading_deg(effects, theta_deg, asked, felt_deg)

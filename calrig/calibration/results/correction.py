@@ -113,16 +113,23 @@ def fit_line_with_effects(
     reading_deg: FloatArray,
     effects: Sequence[AppliedEffect],
     given: Circumstances | None = None,
+    *,
+    doubts: bool = True,
 ) -> Line:
-    """Return bias and scale of what is left of the readings once the effects are taken out."""
-    line = fit_line(theta_deg, reading_deg - effects_on_reading_deg(effects, theta_deg, given))
+    """Return bias and scale of what is left of the readings once the effects are taken out.
+
+    With what they are worth unless `doubts` is False.
+    """
+    left_deg = reading_deg - effects_on_reading_deg(effects, theta_deg, given)
+    line = fit_line(theta_deg, left_deg, doubts=False)
     for _ in range(ITERATIONS):  # where the sensor's axes lie follows from bias and scale themselves
         felt_deg = felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
-        line = fit_line(theta_deg, reading_deg - effects_on_reading_deg(effects, theta_deg, given, felt_deg))
+        left_deg = reading_deg - effects_on_reading_deg(effects, theta_deg, given, felt_deg)
+        line = fit_line(theta_deg, left_deg, doubts=False)
         moved = felt_elevation_deg(theta_deg, line.bias_deg, line.scale) - felt_deg
         if not (np.abs(wrap_deg(moved)) > CONVERGED_DEG).any():
             break
-    return line
+    return fit_line(theta_deg, left_deg) if doubts else line
 
 
 def felt_elevation_deg(theta_deg: FloatArray, bias_deg: float, scale: float | None) -> FloatArray:
