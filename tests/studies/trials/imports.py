@@ -118,6 +118,12 @@ def _told(data: bytes, warnings: Sequence[str]) -> tuple[list[str], list[list[fl
 
 def _differences(data: bytes, poses: list[Pose], warnings: list[str]) -> str:
     header, rows = _told(data, warnings)
+    if any(f"of {len(rows)} rows lack" in warning for warning in warnings):
+        needed = [header.index(name) for name in ("target_deg", "reading_deg")]
+        whole = [row for row in rows if all(row[place] is not None for place in needed)]
+        if not any(warning.startswith(f"{len(rows) - len(whole)} of ") for warning in warnings):
+            return f"{len(rows) - len(whole)} rows lack an angle, and another number is said"
+        rows = whole
     if len(rows) != len(poses):
         return f"{len(rows)} rows went in and {len(poses)} poses came out"
     if any("they are sorted by it" in warning for warning in warnings):
