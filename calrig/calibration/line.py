@@ -29,6 +29,8 @@ EXACT_DEG = 1e-6
 """What rounding leaves of readings that follow a line exactly."""
 GROSS_SHARE, STRAYS = 0.1, 10.0
 """Of the readings, the most that may be gross errors; robust standard deviations beyond which they are."""
+FAR, FEWEST_SPREAD = 12.0, 10
+"""Robust standard deviations from what the other poses say; the fewest poses that have one."""
 
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 
@@ -204,6 +206,41 @@ def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | No
         for error in [reading_error_deg(theta, reading_deg)]
     )
     return float(known[hole]) if len(target_deg) * math.log(as_written / cut) > DECISIVE else None
+
+
+def off_robust_line_deg(theta_deg: FloatArray, value_deg: FloatArray) -> FloatArray:
+    """Return (n,) values less their line by the median slope between poses half of all apart.
+
+    It is that of Theil (Proc. Kon. Ned. Akad. v. Wetensch. A 53, 1950) by fewer pairs.
+    """
+    order, half = np.argsort(theta_deg, kind="stable"), len(theta_deg) // 2
+    apart_deg, rise_deg = (one[order[-half:]] - one[order[:half]] for one in (theta_deg, value_deg))
+    slopes = rise_deg[apart_deg > 0.0] / apart_deg[apart_deg > 0.0]
+    left_deg = value_deg - (np.median(slopes) if len(slopes) else 0.0) * theta_deg
+    return np.asarray(left_deg - np.median(left_deg))
+
+
+def strays(theta_deg: FloatArray, reading_deg: FloatArray, left_deg: FloatArray) -> npt.NDArray[np.intp]:
+    """Return the poses that are far from the line of the others, alone in time and at their angle.
+
+    None of fewer than `FEWEST_SPREAD`; none where more than `GROSS_SHARE` are far: the model is wrong then.
+
+    Args:
+        theta_deg: (n,) elevations in the order measured.
+        reading_deg: (n,) readings; their resolution is the least spread.
+        left_deg: (n,) what calibration leaves of them.
+    """
+    if len(theta_deg) < FEWEST_SPREAD or np.isnan(left_deg).any():
+        return np.empty(0, dtype=np.intp)
+    off_deg = off_robust_line_deg(theta_deg, left_deg)
+    steps_deg = np.diff(np.unique(reading_deg))
+    spread_deg = max(robust_std(off_deg), steps_deg[steps_deg > EXACT_DEG].min(initial=TURN_DEG))
+    far = np.abs(off_deg) > FAR * spread_deg
+    beside = np.convolve(far, [1, 0, 1])[1:-1] > 0
+    beside[0] |= far[0]  # where play is taken up
+    again = np.abs(theta_deg[:, None] - theta_deg[far]) <= np.median(np.abs(np.diff(theta_deg)))
+    alone = far & ~beside & (again.sum(axis=1) == 1)
+    return np.flatnonzero(alone if far.mean() <= GROSS_SHARE else [])
 
 
 def _on_one_turn(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -19,6 +19,7 @@ StoppedBy = Literal["plan", "until"]
 DoubtKind = Literal[
     "move_mismatch",  # the unit measured another rotation than the stage reported
     "missing_poses",  # poses of the plan were not measured
+    "far_poses",  # single poses are far from what the others say
     "ambiguous_readings",  # some stand for two elevations, or the reading does not follow the stage
     "odd_scale",  # a reading that is not in degrees, or counts against the stage
     "clamping",  # gravity finds the unit at another clamping angle than the plan's
@@ -173,12 +174,13 @@ class Result(FittedLine):
         None, description="Why the stage's map was not used, or what errors are relative to."
     )
     lost_says: str | None = Field(None, description="What of the plan could not be measured.")
+    far_says: str | None = Field(None, description="Which poses are far from what the others say.")
     verified: Verified | None = Field(None, description="Of a verification; null in earlier versions.")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as it is stored: without what only some results have to say."""
         document = self.model_dump(mode="json")
-        for key in ("reference_says", "lost_says", "verified"):
+        for key in ("reference_says", "lost_says", "far_says", "verified"):
             if document[key] is None:
                 del document[key]
         if "doubts" not in self.model_fields_set:

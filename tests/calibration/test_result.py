@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -272,3 +273,41 @@ def test_a_curve_that_turns_round_has_no_error_of_an_elevation_and_is_not_releas
     assert result.rms_with_effects_deg is None
     (doubt,) = reading_doubts(content)
     assert (doubt.kind, "turns round" in doubt.says) == ("ambiguous_readings", True)
+
+
+TO_AND_FRO_DEG = np.tile(np.concatenate([np.arange(-60.0, 60.0, 5.0), np.arange(60.0, -60.0, -5.0)]), 2)
+
+
+def _to_and_fro(error_deg, noise_deg=0.05):
+    """Poses of two sweeps to and fro with an error (n,)."""
+    noise = np.random.default_rng(1).normal(0.0, noise_deg, len(TO_AND_FRO_DEG))
+    readings_deg = 0.4 + 1.01 * TO_AND_FRO_DEG + error_deg + noise
+    return [
+        Pose(target_deg=t, reading_deg=r) for t, r in zip(TO_AND_FRO_DEG, readings_deg.tolist(), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_a_reading_that_lost_a_digit_is_named_and_keeps_the_calibration_a_draft(scale):
+    poses = _to_and_fro(np.zeros(96), noise_deg=0.05 * scale)
+    poses[30] = replace(poses[30], reading_deg=poses[30].reading_deg / 10.0)
+    (doubt,) = pose_doubts(build_result(poses), 0)
+    assert doubt.kind == "far_poses"
+    assert f"{poses[30].reading_deg:g}° at {poses[30].target_deg:g}°".replace("-", "−") in doubt.says
+
+
+@pytest.mark.parametrize(
+    "error_deg",
+    [
+        2.0 * np.repeat([0.0, 1.0, 0.0, 1.0], 24),  # play
+        np.where(np.arange(96) < 80, 0.0, 8.0),  # a slip
+        3.0 * np.exp(-np.arange(96) / 4.0),  # a warm-up
+        np.where(TO_AND_FRO_DEG == 40.0, 3.0, 0.0),  # of the angle
+        np.where(np.arange(96) == 0, 3.0, 0.0),  # play taken up
+        np.random.default_rng(2).standard_t(5, 96) * 0.2,
+    ],
+)
+def test_poses_that_an_effect_or_noise_may_have_moved_are_no_doubt(error_deg):
+    assert pose_doubts(build_result(_to_and_fro(error_deg)), 0) == []
+    rounded = _to_and_fro(np.round(error_deg), noise_deg=0.0)
+    assert pose_doubts(build_result(rounded), 0) == []

@@ -21,16 +21,14 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns
-from calrig.calibration.line import GROSS_SHARE
+from calrig.calibration.line import FAR, GROSS_SHARE, off_robust_line_deg
 from calrig.calibration.regression.noise_model import Fit, fit
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
 
-OUTLIER_STD = 12.0
-"""Robust standard deviations (by the median absolute deviation) from the model without the pose."""
 CLEAR_STD, CLEAR = 7.0, 2.0
-"""The same of what stands clear of all other poses; times the largest of their residuals, where it does:
-heavy tails thin out more slowly."""
+"""Robust standard deviations that are far of what stands clear of all other poses; times the largest of
+their residuals, where it does: heavy tails thin out more slowly."""
 MOST_SHARE = 0.03
 SUSPECTS = 3
 REACH = range(2, 6)
@@ -57,8 +55,8 @@ def gross_errors(r: Responses) -> Intp:
     They are apart from a robust line, and neither a part of the run nor other poses at their angle are as
     well.
     """
-    left_deg = _off_robust_line_deg(r.theta_deg, r.values[:, 0])
-    far = np.abs(left_deg) > max(OUTLIER_STD * robust_std(left_deg), GROSS_DEG)
+    left_deg = off_robust_line_deg(r.theta_deg, r.values[:, 0])
+    far = np.abs(left_deg) > max(FAR * robust_std(left_deg), GROSS_DEG)
     step_deg = float(np.median(np.abs(np.diff(r.theta_deg))))
     alone = [
         k
@@ -89,22 +87,10 @@ def beyond(r: Responses, residual_deg: FloatArray) -> int:
 
     Many of them turn the model, and widen the spread about it, so that a robust line counts beside it.
     """
-    off_line_deg = _off_robust_line_deg(r.theta_deg, r.values[:, 0])
+    off_line_deg = off_robust_line_deg(r.theta_deg, r.values[:, 0])
     both_deg = np.stack([residual_deg - np.median(residual_deg), off_line_deg])
     spread_deg = max(min(map(robust_std, both_deg)), float(r.rounding[0]))
-    return int((np.abs(both_deg).min(axis=0) > OUTLIER_STD * spread_deg).sum())
-
-
-def _off_robust_line_deg(theta_deg: FloatArray, value_deg: FloatArray) -> FloatArray:
-    """Return (n,) values less their line by the median slope between poses half of all apart.
-
-    It is that of Theil (Proc. Kon. Ned. Akad. v. Wetensch. A 53, 1950) by fewer pairs.
-    """
-    order, half = np.argsort(theta_deg, kind="stable"), len(theta_deg) // 2
-    apart_deg, rise_deg = (one[order[-half:]] - one[order[:half]] for one in (theta_deg, value_deg))
-    slopes = rise_deg[apart_deg > 0.0] / apart_deg[apart_deg > 0.0]
-    left_deg = value_deg - (np.median(slopes) if len(slopes) else 0.0) * theta_deg
-    return np.asarray(left_deg - np.median(left_deg))
+    return int((np.abs(both_deg).min(axis=0) > FAR * spread_deg).sum())
 
 
 def outliers(r: Responses, accepted: Sequence[Candidate], most: int, gain_to_beat: float = 0.0) -> Intp:
@@ -161,7 +147,7 @@ def _are_far(r: Responses, columns: FloatArray, those: Intp) -> bool:
     spread_deg = max(robust_std(left_deg), float(r.rounding[0]))
     nearest_deg = float(np.abs(without.beta[columns.shape[2] :: len(r.channels)]).min())
     is_clear = len(left_deg) >= FEWEST_NEIGHBOURED and nearest_deg > CLEAR * np.abs(left_deg).max()
-    return nearest_deg > (CLEAR_STD if is_clear else OUTLIER_STD) * spread_deg
+    return nearest_deg > (CLEAR_STD if is_clear else FAR) * spread_deg
 
 
 def briefly_apart(r: Responses, residual_deg: FloatArray) -> Intp:
@@ -179,7 +165,7 @@ def briefly_apart(r: Responses, residual_deg: FloatArray) -> Intp:
     if len(seen) < FEWEST_NEIGHBOURED:
         return np.empty(0, dtype=np.intp)
     spread_deg = max(robust_std(beside_deg[seen]), float(r.rounding[0]))
-    far = seen[np.abs(apart_deg[seen]) > OUTLIER_STD * spread_deg]
+    far = seen[np.abs(apart_deg[seen]) > FAR * spread_deg]
     step_deg = float(np.median(np.abs(np.diff(r.theta_deg[order]))))
     return np.array([k for k in far if not _comes_again(r, apart_deg, k, step_deg, passes)], dtype=np.intp)
 

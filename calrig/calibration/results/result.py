@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from calrig.calibration.line import Line, fit_line, residuals_deg, rms
+from calrig.calibration.line import Line, fit_line, residuals_deg, rms, strays
 from calrig.calibration.poses import Pose, of_first_mount
 from calrig.calibration.regression.effect import ApplyError
 from calrig.calibration.results.correction import AppliedEffect, fit_line_with_effects, unit_slopes
@@ -30,7 +30,8 @@ from calrig.model.result import Extremes, Gyro, Reference, ReferenceFigures, Res
 RELATIVE = (
     "The solution that was verified does not know the level: errors are less their mean over the poses."
 )
-
+MOST_NAMED = 3
+"""Poses far from the others that a sentence names."""
 
 UNKNOWN_GYRO = Gyro(bias_dps=[None] * 3, bias_std_dps=[None] * 3, scale=None, scale_std=None)
 """Of poses without samples of the gyro."""
@@ -139,7 +140,21 @@ def build_result(
         line_with_effects=None if with_effects is None else with_effects[0],
         reference_says=reference_says,
         stopped_by=ending.stopped_by,
+        far_says=_far_in_words(poses, left[1]),
     )
+
+
+def _far_in_words(poses: Sequence[Pose], left_deg: FloatArray) -> str | None:
+    """Say which poses are far from what the others say, of what calibration leaves (n,); None of none."""
+    far = strays(*angles_deg(poses), left_deg).tolist()
+    if not far:
+        return None
+    shown = ", ".join(f"{poses[k].reading_deg:g}° at {poses[k].target_deg:g}°" for k in far[:MOST_NAMED])
+    more = f" and {len(far) - MOST_NAMED} more" if len(far) > MOST_NAMED else ""
+    return (
+        f"Far from the line of the other poses: readings of {shown}{more}. Bias and scale follow them: "
+        "exclude what is an error of reading."
+    ).replace("-", "−")
 
 
 def apply_calibration(

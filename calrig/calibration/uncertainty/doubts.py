@@ -115,6 +115,8 @@ def pose_doubts(result: Result, mismatches: int) -> list[Doubt]:
         )
     if result.lost_says:
         found.append(Doubt("missing_poses", result.lost_says))
+    if result.far_says:
+        found.append(Doubt("far_poses", result.far_says))
     return found
 
 
