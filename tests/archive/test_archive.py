@@ -182,6 +182,7 @@ def test_a_forger_who_sets_every_hash_right_is_found_by_the_trail_and_by_the_pos
     assert where(found) == {name}
     assert "the trail says otherwise" in said(found)
     assert "scale is" in said(found)
+    assert "rms_with_effects_deg is" in said(forged(rms_with_effects_deg=1e-3))
     assert "its effects are none" in said(forged(effects=[]))
     poses = layout.run_names(document["run_id"])[1]
     other = kept[poses].replace(b"0.0,0.7", b"0.0,0.6", 1)

@@ -13,6 +13,7 @@ from calrig.calibration.results.correction import (
     numbers_of,
     own_effect,
     reference_temperature_c,
+    unit_slopes,
 )
 from calrig.calibration.results.pose_errors import (
     angles_deg,
@@ -22,6 +23,7 @@ from calrig.calibration.results.pose_errors import (
     nominal_deg,
     poses_without_effects,
     raw_error_deg,
+    readings_left_deg,
     residuals,
 )
 from calrig.calibration.results.reading_turns import (

@@ -17,9 +17,17 @@ from typing import Any
 import numpy as np
 
 from calrig.calibration.effects import effect_of
+from calrig.calibration.line import Line, rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression import ApplyError
-from calrig.calibration.results import build_result
+from calrig.calibration.results import (
+    AppliedEffect,
+    angles_deg,
+    build_result,
+    circumstances,
+    readings_left_deg,
+    unit_slopes,
+)
 from calrig.calibration.separation import MountedPoses, dial_of, solve, with_map
 from calrig.canonical_json import sha256_of
 from calrig.export.archive import layout
@@ -163,13 +171,11 @@ FIGURES = (
     "rms_calibrated_deg",
     "temperature_c",
 )
-"""What follows from poses and effects alone. Uncertainty, covariance and RMS with effects are as its program
-had them: the latter was once by the slope of the curve, which is another figure where the curve is steep."""
+"""What follows from poses and effects alone. Uncertainty and covariance are as its program had them."""
 Tolerance = tuple[float, float]
 """Relative and absolute difference that rounding may cause."""
 EXACT, FITTED, SOLVED = (0.0, 0.0), (1e-6, 1e-9), (1e-4, 1e-6)
 """Of accepted effects, of a line's figures, and of a joint solution, which is found by iteration."""
-"""Another machine's linear algebra, and nothing that a reader of the document could see."""
 
 
 class NotRefitted(Exception):  # noqa: N818 (an answer, not a fault)
@@ -218,7 +224,20 @@ def differences(
             result=result,
             accepted=accepted,
         )
+        with_effects_deg = [again["rms_with_effects_deg"]]
+        if (line := result.line_with_effects) is not None:
+            with_effects_deg.append(_by_slope_deg(counted, line, as_applied(accepted)))
     yield from _unlike(document, again, FITTED)
+    stated = document["rms_with_effects_deg"]
+    if not any(_same(stated, one, FITTED) for one in with_effects_deg):
+        yield f"rms_with_effects_deg is {stated}, and its poses give {with_effects_deg[0]}"
+
+
+def _by_slope_deg(poses: Sequence[Pose], line: Line, effects: Sequence[AppliedEffect]) -> float:
+    """Return RMS with effects as documents of before have it: by the slope of the curve."""
+    theta, _ = angles_deg(poses)
+    slopes = unit_slopes(theta, line, effects, circumstances(poses))
+    return rms(readings_left_deg(poses, line, effects) / slopes)
 
 
 def solution_differences(
