@@ -17,6 +17,7 @@ from calrig.calibration.diagnosis.tracing import diagnose, document
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.noise_model import fit
+from calrig.calibration.regression.request import DiagnosisRequest
 from calrig.calibration.regression.responses import Responses, responses_of
 
 STROKES, NOISE_DEG, LOAD_DEG = 8, 0.05, 0.4
@@ -109,3 +110,71 @@ def test_beside_free_curves_what_no_curve_is_shows_by_itself(load_deg: float) ->
     assert best.covariate == "load_sense" or not verdict.passes
     hidden = judged(r, others)  # where half of it is taken for noise that wanders
     assert hidden.gain < 0.5 * verdict.gain or not verdict.passes
+
+
+PLACES_DEG = 15.0 + 10.0 * np.arange(5)
+
+
+def iso_230_2(seed: int, apart_deg: float | None, cycles: int = 5) -> list[Pose]:
+    """A run by ISO 230-2 of an axis with an error of its own at each of five places.
+
+    It is the same from both sides but for a play of `apart_deg`; another one from each where that is None.
+    """
+    rng = np.random.default_rng(seed)
+    up_deg, down_deg = rng.normal(0.0, 0.02, (2, 5))
+    down_deg = down_deg if apart_deg is None else up_deg + apart_deg
+    ways = [(1, PLACES_DEG, up_deg), (-1, PLACES_DEG[::-1], down_deg[::-1])]
+    return [
+        Pose(target_deg=float(at), reading_deg=float(at + off + rng.normal(0.0, 5e-4)), approach=approach)
+        for _ in range(cycles)
+        for approach, places_deg, error_deg in ways
+        for at, off in zip(places_deg, error_deg, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("apart_deg", [None, 0.0, 0.02])
+def test_errors_at_few_places_have_no_other_cause_than_a_play_between_the_sides(seed, apart_deg):
+    found = document(diagnose([iso_230_2(seed, apart_deg)], bootstraps=199), ["1"])
+    causes = {effect["name"] for effect in found["effects"] if effect["verdict"] == "named"}
+    assert causes == ({"backlash"} if apart_deg else set())
+    assert found["final"]["held_out_rms_deg"] < 7e-4
+    if apart_deg:
+        (play,) = (e["parameters"]["backlash_deg"] for e in found["effects"] if e["name"] == "backlash")
+        assert abs(abs(play["value"]) - apart_deg) < 4.0 * play["std"]
+
+
+def test_a_first_pose_come_to_from_nowhere_tells_no_play_at_few_places():
+    one_way = [pose for pose in iso_230_2(1, 0.0, cycles=8) if pose.approach == 1]
+    poses = [Pose(target_deg=pose.target_deg, reading_deg=pose.reading_deg) for pose in one_way]
+    found = document(diagnose([poses], bootstraps=199), ["1"])
+    assert [effect["name"] for effect in found["effects"]] == ["unnamed"]
+    assert not any("outlier" in said for said in found["warnings"])
+
+
+def test_a_smooth_curve_at_few_places_keeps_its_name():
+    poses = iso_230_2(2, 0.0)
+    bent = [
+        Pose(
+            target_deg=pose.target_deg,
+            reading_deg=pose.target_deg + 1e-4 * (pose.target_deg - 35.0) ** 2 + error,
+            approach=pose.approach,
+        )
+        for pose, error in zip(poses, np.random.default_rng(3).normal(0.0, 5e-4, len(poses)), strict=True)
+    ]
+    found = document(diagnose([bent], bootstraps=199), ["1"])
+    assert [effect["name"] for effect in found["effects"]] == ["nonlinearity"]
+
+
+def test_the_same_effect_at_other_places_is_not_that_of_a_rival():
+    """Random errors at seven places, each five times from one side, where the sensor is compared."""
+    rng = np.random.default_rng(2)
+    at = np.linspace(15.0, 55.0, 7)
+    off = rng.normal(0.0, 0.02, 7)
+    poses = [
+        Pose(target_deg=float(t), reading_deg=float(t + e + rng.normal(0.0, 5e-4)), sweep=sweep)
+        for sweep in range(5)
+        for t, e in zip(at, off, strict=True)
+    ]
+    found = document(diagnose([poses], request=DiagnosisRequest(reference="good"), bootstraps=199), ["1"])
+    assert found["final"]["held_out_rms_deg"] < 7e-4

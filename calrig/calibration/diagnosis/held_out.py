@@ -26,6 +26,7 @@ from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
+from calrig.calibration.effects.unnamed import AT_EACH_PLACE
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
@@ -414,7 +415,8 @@ def _foreseen(r: Responses, shown: Sequence[Candidate], train: Intp) -> list[Can
             wavy.setdefault((c.covariate, c.shape.at_elevation is None), []).append(c)
     foreseen, line = list(shown), _flat(model_columns(r, ())[train])
     for those in wavy.values():
-        if sum(c.columns.shape[2] for c in those) >= WAVY:
+        is_free = any(c.shape.form == AT_EACH_PLACE for c in those)  # at places that a block leaves none of
+        if is_free or sum(c.columns.shape[2] for c in those) >= WAVY:
             foreseen = [*(c for c in foreseen if c not in those), _as_far_as_shown(those, train, line)]
     return foreseen
 

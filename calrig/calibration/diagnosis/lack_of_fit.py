@@ -21,7 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT
+from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, VISITS, few_places
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.channels import BoolArray
 from calrig.calibration.regression.motion import approach_of
@@ -256,11 +256,20 @@ def _experiment(lack: LackOfFit, temperature: bool) -> str:
     return "it differs from pose to pose: repeat one elevation from one side, to see what the rig repeats to"
 
 
-def with_free_curve(r: Responses) -> Responses | None:
-    """Return the responses with a free curve of the elevation for each approach; None with too few poses."""
+def with_free_curve(r: Responses, visits: float = VISITS) -> Responses | None:
+    """Return the responses with a free curve of the elevation for each approach; None with too few poses.
+
+    Of a few places, each visited so often, it is any value at each.
+    """
     sides = [np.ones(len(r), dtype=bool)]
     if r.approach is not None and len(np.unique(r.approach[r.approach != 0.0])) > 1:
         sides = [r.approach > 0.0, r.approach <= 0.0]
+    places = few_places(r.theta_deg, visits)
+    if places is not None:
+        each = places[:, None] == np.arange(places.max() + 1)
+        cells = np.concatenate([(each.T & side).T for side in sides], axis=1)
+        own = cells[:, cells.any(axis=0)].astype(np.float64)
+        return r.with_free(own[:, 2:], "curve")  # two are the bias and the scale
     enough = [count for count in MORE_KNOTS if len(r) >= POSES_A_KNOT * count * len(sides)]
     if not enough or len(np.unique(r.theta_deg)) <= max(enough) + 1:
         return None

@@ -319,7 +319,8 @@ def _why(found: SelectedEffect, label: str, behind: float) -> str:
 def _same_elsewhere(found: SelectedEffect, candidate: Candidate) -> list[str]:
     """Return the same effect at other places that these poses cannot tell from its own."""
     place = candidate.effect.place
-    values = sorted((other.shape.at[place] for other in found.alike), reverse=True)
+    alike = [other for other in found.alike if other.name == candidate.name]  # not those of its rival
+    values = sorted((other.shape.at[place] for other in alike), reverse=True)
     if not values:
         return []
     parameter = next(p for p in candidate.effect.parameters if p.name == place)

@@ -55,7 +55,7 @@ from calrig.calibration.diagnosis.significance_test import (
     gate,
     model_of,
 )
-from calrig.calibration.effects.unnamed import TIMES, UNSTEADY
+from calrig.calibration.effects.unnamed import TIMES, UNSTEADY, VISITS, few_places
 from calrig.calibration.regression.effect import APPROACH, ELEVATION
 from calrig.calibration.regression.noise_model import STRONG_RHO, Fit, NoiseModel, distance_of, fit, noise_of
 from calrig.calibration.regression.responses import Responses
@@ -304,12 +304,18 @@ def _search_one_run(
 ) -> Findings:
     """Search one run; if too much is left, search again, first for what no free curve explains.
 
+    At a few places, often visited, the second alone: what else is a function of place and approach is not
+    told apart from a curve there.
+
     The second is kept if its penalised criterion is smaller than that of the first on the same poses, before
     the effects of the first are compared thoroughly. A fold makes only the search whose model was kept of all
     poses; with too few poses for a free curve, the first one.
     """
     at_first = partial(judge, level=AT_FIRST * LEVEL)
-    if rivals is not None and rivals.beside_curve:  # at a level that the draws of a fold can reach
+    is_few = rivals is None and few_places(r.theta_deg) is not None
+    if is_few or (
+        rivals is not None and rivals.beside_curve
+    ):  # at a level that the draws of a fold can reach
         again = _beside_free_curve(r, candidates, at_first, rivals, noises)
         if again is not None:
             return again
@@ -334,7 +340,7 @@ def _beside_free_curve(
     noises: Noises,
 ) -> Findings | None:
     """Search first for what no free curve explains, then for curves; None where poses are too few."""
-    free = with_free_curve(r)
+    free = with_free_curve(r, VISITS if rivals is None else VISITS / 2.0)  # a fold has fewer of the same
     if free is None:
         return None
     others = [c for c in candidates if not is_of_the_curve(c)]

@@ -14,6 +14,7 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
+import numpy.typing as npt
 
 from calrig.calibration.effects.stage_periodic import TURN_DEG, spacing_deg, steps_of
 from calrig.calibration.regression.channels import ANGLE, MOVE, READING
@@ -214,6 +215,7 @@ KNOTS = (3, 5)
 MORE_KNOTS, POSES_A_KNOT = (9, 17, 33), 12
 """Of the elevation, where there are so many poses to each: a potentiometer may be wavy all along."""
 OF_THE_READING = ", of the reading alone"
+AT_EACH_PLACE = "any value at each angle"
 ALTERNATING = "alternating from step to step"
 UNSTEADY = "from pose to pose"
 ALIKE_NEARBY = 0.25
@@ -222,6 +224,9 @@ WAVE_BY_SIDE = "wave, by side"
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 PLACES = np.linspace(0.06, 0.94, 23)
 FEWEST_VALUES = 8
+FEWEST_PLACES, MOST_PLACES, VISITS, ONE_OF_FEW = 4, 12, 4, 0.1
+"""Places of a curve that may have any value at each, the fewest poses to each, and how near these are to each
+other, of the widest gap between places."""
 ONE_PLACE = 1e-3
 """Of a column's range: a stage that comes back to a place is as far off."""
 MOST_CYCLES = 60.0
@@ -261,12 +266,18 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
     for count in MORE_KNOTS:
         if len(r) >= POSES_A_KNOT * count and _places(r.theta_deg) > count + 1:
             yield _smooth(r.theta_deg, count, "target_deg", tilted, has_knots=r.reference_is_good)
+    if (each := _through_each_place(r.theta_deg)) is not None:
+        shape = _of_function(each, r.theta_deg, "target_deg", AT_EACH_PLACE, tilted)
+        yield replace(shape, knots=tuple(each.at.tolist())) if r.reference_is_good else shape
     if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
         for count in KNOTS:
             curve = natural_spline(r.theta_deg, count)
             by_side = ((curve - curve.mean(axis=0)).T * r.approach).T  # backlash beside it is the mean
             shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
             yield replace(shape, beside=("approach",))
+        if each is not None:  # as far apart at one place as at another, or not
+            by_side = r.approach[:, None] * np.column_stack([np.ones(len(r)), each(r.theta_deg)])
+            yield _shape(tilted(by_side), f"approach{TIMES}target_deg", f"{AT_EACH_PLACE}, by side")
     yield from _unsteady(r)
     if (spacing := spacing_deg(r.theta_deg)) is not None:
         alternating = np.where(steps_of(r.theta_deg, spacing) % 2.0 == 0.0, 1.0, -1.0)
@@ -371,7 +382,37 @@ def _counts(z: FloatArray) -> list[int]:
 
 def _places(z: FloatArray) -> int:
     """Return how many values a column takes, those that differ by less than `ONE_PLACE` taken as one."""
+    if (few := few_places(z)) is not None:
+        return int(few.max()) + 1
     return len(np.unique(np.round((z - z.min()) / (ONE_PLACE * (np.ptp(z) or 1.0)))))
+
+
+def _through_each_place(z: FloatArray) -> NaturalSplines | None:
+    """Return the curves that may have any value at each of a few places, often visited; None at others."""
+    places = few_places(z)
+    if places is None:
+        return None
+    at = np.array([z[places == place].mean() for place in range(places.max() + 1)])
+    return NaturalSplines(float(at[0]), float(np.ptp(at)), (at - at[0]) / np.ptp(at))
+
+
+def few_places(z: FloatArray, visits: float = VISITS) -> npt.NDArray[np.intp] | None:
+    """Return (n,) which of a few places each pose is at; None unless they are apart and visited so often.
+
+    So are those of ISO 230-2 (2014, section 5.3.2): five or more, each visited five times from a side.
+    """
+    order = np.argsort(z)
+    gaps = np.diff(z[order])
+    near = ONE_OF_FEW * gaps.max(initial=0.0)
+    groups = np.split(order, 1 + np.flatnonzero(gaps > near))
+    if not FEWEST_PLACES <= len(groups) <= MOST_PLACES or len(z) < visits * len(groups):
+        return None
+    if max(np.ptp(z[group]) for group in groups) > near:
+        return None
+    places = np.empty(len(z), dtype=np.intp)
+    for place, group in enumerate(groups):
+        places[group] = place
+    return places
 
 
 def _of_the_reading(column: FloatArray, name: str) -> Iterator[Shape]:
