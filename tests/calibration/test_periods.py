@@ -462,3 +462,23 @@ def test_an_iron_beside_a_compass_is_an_eccentricity_with_its_orders(share):
             assert found[order]["value"] == pytest.approx(
                 expected_deg, abs=max(0.1, 4.0 * found[order]["std"])
             )
+
+
+@pytest.mark.parametrize("range_deg", [4.5, 9.0])
+def test_many_short_waves_are_found_over_a_few_degrees_as_over_many(range_deg):
+    """300 poses to 4.5°: 18 waves, which three periods of a common motor would not fit into."""
+    rng = np.random.default_rng(5)
+    at = np.arange(0.0, range_deg, 0.015)
+    reading = at + 0.02 * np.sin(2.0 * np.pi * at / 0.25) + rng.normal(0.0, 1e-4, len(at))
+    (found,) = effects_in(posed(target_deg=at, reading_deg=reading, time_s=0.06 * np.arange(len(at))))
+    assert found["parameters"]["period_deg"]["value"] == pytest.approx(0.25, rel=1e-4)
+
+
+def test_a_wave_between_poses_close_together_is_said_to_look_the_same():
+    """50 cycles a degree, seen every 0.015°: 50 − 1/0.015 = −16.67 cycles a degree."""
+    rng = np.random.default_rng(6)
+    at = 0.9 + 0.015 * np.arange(300)
+    reading = at + 3e-4 * np.sin(2.0 * np.pi * 50.0 * at + 1.0) + rng.normal(0.0, 1e-4, len(at))
+    (found,) = effects_in(posed(target_deg=at, reading_deg=reading))
+    assert found["parameters"]["period_deg"]["value"] == pytest.approx(0.06, rel=1e-3)
+    assert any("a period of 0.02° as the same" in said for said in found["evidence"])

@@ -33,6 +33,7 @@ from calrig.calibration.regression.terms import (
     c_wave,
     covered,
     goes_round,
+    turns,
     wave_deg,
 )
 from calrig.estimation.angles import FloatArray
@@ -150,6 +151,8 @@ APART = 0.75
 """Of a resolution: two waves closer than that are one, and cancel each other where both are fitted."""
 ALIKE_POWER, MOST_ALIKE = 0.4, 12
 """Of the spectral window: where two periods may be taken for one."""
+SURELY_SHORTER = 2.0
+"""Steps in the shortest period that an alias is searched for to, where no such alias is within it."""
 ROUNDING = 1e-6
 """Of a frequency: so near its bound it is on it."""
 SURE = 2.0
@@ -160,7 +163,7 @@ def _scan(r: Responses) -> Iterator[Parameters]:
     arc = float(np.ptp(r.theta_deg))
     for known_deg in r.known_periods_deg:
         yield from _family(r, known_deg, 1)
-    if arc < 3.0 * SHORTEST_PERIOD_DEG:
+    if not turns(r) or arc < 3.0 * _shortest_deg(r.theta_deg):
         return
     names = _known_orders(r)
     frequencies, orders = _scanned(r.theta_deg, arc, step_deg(r)), np.array(names) / TURN_DEG
@@ -201,10 +204,14 @@ def _harmonics(r: Responses, shape: Shape) -> Iterator[Parameters]:
         yield from _family(r, shape.at["period_deg"], 2)
 
 
+def _shortest_deg(theta_deg: FloatArray) -> float:
+    """Return the shortest period that is searched for: two steps of poses that lie close together."""
+    return min(SHORTEST_PERIOD_DEG, 2.0 * float(np.ptp(theta_deg)) / len(np.unique(theta_deg)))
+
+
 def _scanned(theta_deg: FloatArray, arc: float, step: float | None) -> FloatArray:
     """Frequencies in cycles per degree, from the turn's second order or so to what the spacing resolves."""
-    shortest = min(SHORTEST_PERIOD_DEG, 2.0 * arc / len(np.unique(theta_deg)))
-    lowest, highest = 1.0 / TURN_DEG + APART / arc, 1.0 / shortest
+    lowest, highest = 1.0 / TURN_DEG + APART / arc, 1.0 / _shortest_deg(theta_deg)
     if step is not None:
         highest = min(highest, 1.0 / (2.0 * step) - 1.0 / arc)
     finer = next((f for f in PLACES if (highest - lowest) * f * arc <= MOST_PLACES), PLACES[-1])
@@ -292,15 +299,23 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         )
         return
     if "order" not in at:
-        yield Shape(shares, names, at={"period_deg": period_deg}, scanned=True, at_elevation=at_elevation)
+        yield Shape(
+            shares,
+            names,
+            at={"period_deg": period_deg},
+            scanned=True,
+            says=_shorter_alias(r, period_deg).removeprefix("; "),
+            at_elevation=at_elevation,
+        )
         return
+    is_scanned = at["order"] not in _known_orders(r)
     yield Shape(
         shares,
         names,
         form="order of the turn",
         at={"period_deg": period_deg, "order": at["order"]},
-        scanned=at["order"] not in _known_orders(r),
-        says=f"order {at['order']:g} of the turn",
+        scanned=is_scanned,
+        says=f"order {at['order']:g} of the turn{_shorter_alias(r, period_deg) if is_scanned else ''}",
         series=THE_TURN,
         at_elevation=at_elevation,
     )
@@ -348,6 +363,15 @@ def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
                 signed = (round((frequency - sign * found) / grid) * grid + sign * found for sign in (1, -1))
                 exact = min(map(abs, signed), key=lambda one: abs(one - frequency))
                 yield {"period_deg": float(1.0 / exact), "order": float(exact * TURN_DEG)}
+
+
+def _shorter_alias(r: Responses, period_deg: float) -> str:
+    """Say which period under two steps looks the same at even poses too close for one to be searched for."""
+    step = spacing_deg(r.theta_deg)
+    if step is None or step * SURELY_SHORTER > SHORTEST_PERIOD_DEG or period_deg < 2.0 * step:
+        return ""
+    alias_deg = 1.0 / (1.0 / step - 1.0 / period_deg)
+    return f"; poses {step:.4g}° apart would show a period of {alias_deg:.4g}° as the same"
 
 
 def _resolved(r: Responses, shape: Shape) -> float:

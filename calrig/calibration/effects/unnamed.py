@@ -345,9 +345,11 @@ def _smooth(z: FloatArray, pieces: int, name: str, seen_by: Shares, *, has_knots
 
 
 def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = False) -> Iterator[Shape]:
-    for count in _counts(z):
+    few = few_places(z) if name == "target_deg" else None
+    places = _places(z) if few is None else int(few.max()) + 1
+    for count in _counts(places):
         yield _smooth(z, count, name, seen_by, has_knots=has_knots)
-    if _places(z) < FEWEST_VALUES:
+    if places < FEWEST_VALUES:
         return
     for place in np.unique(np.quantile(z, PLACES)):
         at = {"at": float(place)}
@@ -375,15 +377,12 @@ def _step(z: FloatArray, place: float) -> FloatArray:
     return np.asarray(z >= place, dtype=np.float64)
 
 
-def _counts(z: FloatArray) -> list[int]:
-    places = _places(z)
+def _counts(places: int) -> list[int]:
     return [count for count in KNOTS if places > count + 1]
 
 
 def _places(z: FloatArray) -> int:
     """Return how many values a column takes, those that differ by less than `ONE_PLACE` taken as one."""
-    if (few := few_places(z)) is not None:
-        return int(few.max()) + 1
     return len(np.unique(np.round((z - z.min()) / (ONE_PLACE * (np.ptp(z) or 1.0)))))
 
 
@@ -418,7 +417,7 @@ def few_places(z: FloatArray, visits: float = VISITS) -> npt.NDArray[np.intp] | 
 def _of_the_reading(column: FloatArray, name: str) -> Iterator[Shape]:
     """Return what gravity does not see: the column reaches the filter, or what is added to its output."""
     alone = {"linear": standardised(column)}
-    alone |= {f"smooth {count}": natural_spline(column, count) for count in _counts(column)}
+    alone |= {f"smooth {count}": natural_spline(column, count) for count in _counts(_places(column))}
     for form, columns in alone.items():
         yield _shape({READING: columns}, name, f"{form}{OF_THE_READING}")
 
