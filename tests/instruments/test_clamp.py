@@ -6,11 +6,11 @@ from contextlib import ExitStack, closing
 
 import pytest
 from stage_ports import InProcessPort
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.instruments.index_clamp import ClampError, IndexClamp
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def make_rig():
     with ExitStack() as stack:
         stack.enter_context(clock.taking_part())
         yield lambda **clamp: stack.enter_context(
-            SimulatedRig(SimulatorSettings.from_options({"preset": "ideal", "clamp": clamp}), clock)
+            virtual_rig(SimulatorSettings.from_options({"preset": "ideal", "clamp": clamp}), clock)
         )
 
 

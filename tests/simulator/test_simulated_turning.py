@@ -7,12 +7,12 @@ import pytest
 import serial
 from scipy.spatial.transform import Rotation
 from support import PATIENCE_S
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.stages.grbl.firmware import BYTE_S
-from calrig.simulator.virtual_clock import VirtualClock
 
 AX, AY, AZ, TEMP, GX, GY, GZ = range(7)
 RATE_HZ = 200.0
@@ -145,7 +145,7 @@ def test_a_turning_stage_says_where_it_was_when_it_was_asked_or_a_told_time_befo
         "acceleration_dps2": ACCELERATION_DPS2,
     }
     clock = VirtualClock()
-    rig = SimulatedRig(SimulatorSettings.from_options({"preset": "ideal", "stage": stage}), clock)
+    rig = virtual_rig(SimulatorSettings.from_options({"preset": "ideal", "stage": stage}), clock)
     with clock.taking_part(), rig, serial.serial_for_url(rig.stage_port, timeout=PATIENCE_S) as port:
         port.write(home.encode())
         clock.sleep(10.0)

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.estimation.angles import wrap_deg
 from calrig.instruments.clock import WALL, Clock
@@ -21,7 +23,6 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.sketch_board import SketchBoard
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import RawSamples, Run, Store, StoredPose
 
 from .proxy import Proxy
@@ -135,7 +136,8 @@ def try_case(case: Case, store: Store, folder: Path, virtual: VirtualClock | Non
         "board": {"sketch": case.sketch},
     }
     with ExitStack() as stack:
-        rig = SimulatedRig(SimulatorSettings.from_options(options), virtual)
+        made = SimulatorSettings.from_options(options)
+        rig = SimulatedRig(made) if virtual is None else virtual_rig(made, virtual)
         sensed = Sensed(rig.bench)
         proxies = {
             wire: stack.enter_context(_proxy(case, wire, rig, folder, virtual)) for wire in ("stage", "board")
