@@ -91,7 +91,7 @@ def test_the_chips_filter_tells_each_channel_as_late_as_its_register_map_says(dl
     bench, begin_s, counts = turned(imu={"dlpf_cfg": dlpf_cfg})
     elevation_deg = np.degrees(np.arctan2(counts[TURNING, AY], counts[TURNING, AZ]))
     since_s = np.arange(len(counts)) / RATE_HZ
-    behind_deg = bench.true_elevation_deg(begin_s + since_s[TURNING]) - elevation_deg
+    behind_deg = bench.sensor(begin_s + since_s[TURNING]).angle_deg - elevation_deg
     assert behind_deg.mean() == pytest.approx(VELOCITY_DPS * accel_s, abs=2e-4)
     ramp = slice(5, 13)  # 25 to 60 ms after the beginning: the rate rises in proportion
     rate_dps = counts[ramp, GX] * 250 / 32768

@@ -243,7 +243,7 @@ def _judge_pose(
     if (np.diff(taken_s) <= 0).any():
         outcome.wrong.append(f"{name}: a sample twice, or out of its order")
     with rig.bench.lock:
-        true_deg = rig.bench.true_elevation_deg(taken_s).mean()
+        true_deg = rig.bench.sensor(taken_s).angle_deg.mean()
         table = rig.bench.mechanics.table(taken_s)
         before = rig.bench.mechanics.table(np.arange(0.0, taken_s[0], 0.005))
     off_deg = wrap_deg(pose.reading_deg - true_deg)
