@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.separation.pose_table import BoolArray, Intp
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray, Intp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
