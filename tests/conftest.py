@@ -33,13 +33,13 @@ from postgresql_server import (  # noqa: F401 (fixtures)
 )
 from shared_processes import in_shared_process
 from support import QUICK, fast, known_as, running_service, serving
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.analysis import stored_runs, unit_of_work
 from calrig.plan import Plan
 from calrig.runs import follow_up
 from calrig.settings import RigSettings
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 
 # A busy machine is no failure, and a run repeats alike; `--hypothesis-profile=explore` tries new examples.
 settings.register_profile(
@@ -126,7 +126,7 @@ def launch_rig() -> Iterator[LaunchRig]:
         rigs.callback(clock.stop)
 
         def start(name: str = "bench-1", **options: Any) -> RigSettings:
-            simulated = rigs.enter_context(SimulatedRig(fast(options), clock))
+            simulated = rigs.enter_context(virtual_rig(fast(options), clock))
             return known_as(name, simulated).model_copy(update={"simulated": {}})
 
         yield start

@@ -25,11 +25,11 @@ import sqlalchemy
 from postgresql_server import store_at
 from repository import SHARED
 from shared_processes import shared_processes
+from virtual_time.clock import VirtualClock
 
 from calrig.settings import BoardSettings, ClampSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 
 DATA = Path(os.environ.get("CALRIG_DATA", SHARED / "data"))
 """The measured logs; tests that need them skip, saying so, where they are not."""

@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.line import bias_on_turn_deg, follows_stage, reading_error_deg
-from calrig.calibration.packed_poses import Intp, PackedPoses
+from calrig.calibration.packed_poses import PackedPoses
 from calrig.calibration.regression.responses import FEWEST_POSES
-from calrig.estimation.angles import MAD_TO_STD, FloatArray, wrap_deg
+from calrig.estimation.angles import MAD_TO_STD, FloatArray, Intp, wrap_deg
 
 Float32 = npt.NDArray[np.float32]
 Complex64 = npt.NDArray[np.complex64]

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calrig.calibration.regression.effect import Origin
-from calrig.calibration.static_segments import BoolArray, GravityError, StaticPoses
-from calrig.estimation.angles import AXES, FloatArray
+from calrig.calibration.static_segments import GravityError, StaticPoses
+from calrig.estimation.angles import AXES, BoolArray, FloatArray
 
 MISALIGNMENT = "misalignment"
 BASE = 6

@@ -6,12 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from calrig.calibration.poses import COLUMNS, MOUNT_DEG, OF_MOUNTS, Pose
-from calrig.estimation.angles import FloatArray, wrap_deg
-
-Intp = npt.NDArray[np.intp]
+from calrig.estimation.angles import FloatArray, Intp, wrap_deg
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
-BoolArray = npt.NDArray[np.bool_]
 Span = tuple[int, int]
 """First sample, and the one after the last."""
 

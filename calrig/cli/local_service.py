@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def centre_service(url: str, command: str, settings: Settings) -> Iterator[CentreService]:
+def centre_service(url: str, settings: Settings) -> Iterator[CentreService]:
     """The service of a centre over its database; its rigs are its benches'.
 
     Raises:
@@ -35,7 +35,7 @@ def centre_service(url: str, command: str, settings: Settings) -> Iterator[Centr
             f"{settings.file}: configures rig {rigs}, and a centre has none of its own: move them to the "
             "calrig.toml of a bench, which `calrig agent` runs on the machine with the ports"
         )
-    with Store.open(url, writer=command) as store:
+    with Store.open(url, writer="serve") as store:
         from calrig.centre.bench_rigs import BenchRigs
         from calrig.centre.service import CentreService
 

@@ -61,7 +61,7 @@ def _serve_on(
     from calrig.store.engines import is_centre, shown
 
     serving: AbstractContextManager[Service] = (
-        centre_service(url, "serve", settings)
+        centre_service(url, settings)
         if is_centre(url)
         else local_service(url, "serve", settings.rig, settings, record)
     )

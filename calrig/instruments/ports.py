@@ -200,7 +200,7 @@ def _descriptor_of(wire: serial.Serial) -> int | None:
     """Of a port that the system itself knows by one: a POSIX tty or socket."""
     try:
         return int(wire.fileno()) if os.name == "posix" else None
-    except OSError:  # `rfc2217://`, `sim://`, `replay://`, …
+    except OSError:  # `rfc2217://`, `replay://`, …
         return None
 
 

@@ -77,6 +77,11 @@ class Reference:
     distribution: Distribution = "rectangular"
     line_covariance: Covariance | None = None
 
+    @property
+    def combined_distribution(self) -> Distribution:
+        """The distribution of its part in a result: normal for `setting`, a mean over the poses."""
+        return "normal" if self.kind == "setting" else self.distribution
+
 
 class ReferenceFigures(Model):
     """What the rig states of its stage, and its part of bias and scale: type B, √n does not shrink it."""

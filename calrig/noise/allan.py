@@ -24,13 +24,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import gammaincinv
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, IntArray
 from calrig.noise.resampling import UniformLog
-
-IntArray = npt.NDArray[np.int64]
 
 CONFIDENCE = 0.6827
 """Share of logs whose true deviation lies within the limits: one sigma, as the field draws them."""

@@ -19,8 +19,8 @@ from itertools import combinations
 
 import numpy as np
 
-from calrig.estimation.angles import FloatArray
-from calrig.noise.allan import KINDS, AllanCurve, CurveTheory, IntArray, theory_of
+from calrig.estimation.angles import FloatArray, IntArray
+from calrig.noise.allan import KINDS, AllanCurve, CurveTheory, theory_of
 
 RAMP = len(KINDS)
 """The ramp's index, after those of `KINDS`."""

@@ -11,13 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import minimum_filter1d
 
-from calrig.estimation.angles import FloatArray
-
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from calrig.estimation.angles import BoolArray, FloatArray, IntArray
 
 CLOCKS = {2.0**32 * 1e-6: "microseconds", 2.0**32 * 1e-3: "milliseconds"}
 """Counters of 32 bits, by when they wrap, in s: 71.6 minutes and 49.7 days."""

@@ -26,9 +26,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.interpolate import PchipInterpolator
 from scipy.special import digamma, fdtrc, gammainccinv, gammaincinv
 
-from calrig.estimation.angles import FloatArray
-
-IntArray = npt.NDArray[np.int64]
+from calrig.estimation.angles import FloatArray, IntArray
 
 LOWEST = 2
 """Bins that the taken straight line and the ends' taper spoil."""

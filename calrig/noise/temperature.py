@@ -16,11 +16,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-from calrig.estimation.angles import FloatArray
-
-IntArray = npt.NDArray[np.int64]
+from calrig.estimation.angles import FloatArray, IntArray
 
 MIN_SPAN_C = 1.0
 """What the parts' temperatures must span."""

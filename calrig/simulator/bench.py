@@ -285,7 +285,7 @@ class Bench:
         return self._mount.clamp(at_s, mount_deg, axis)
 
     def sensor(self, times_s: FloatArray) -> Turn:
-        """The sensor's true turn about the stage's axis (with x along it: its elevation), and its rate.
+        """The sensor's true turn about the stage's axis (with x along it: its elevation), not wrapped.
 
         How it is turned in its case, and how well the clamping is seated, is in `specific_force_g` alone.
         """
@@ -297,10 +297,6 @@ class Bench:
             for step_s in (0.0, -TURN_STEP_S, TURN_STEP_S)
         )
         return Turn(package.angle_deg + turned, package.rate_dps + (after - before) / (2 * TURN_STEP_S))
-
-    def true_elevation_deg(self, times_s: FloatArray) -> FloatArray:
-        """The sensor's true elevation (n,), not wrapped."""
-        return self.sensor(np.asarray(times_s, dtype=float)).angle_deg
 
     def specific_force_g(self, times_s: FloatArray) -> FloatArray:
         """The true specific force along the sensor's axes, (n, 3), without the motor's vibration."""

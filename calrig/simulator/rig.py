@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Self
+from functools import partial
+from typing import Protocol, Self
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.clamp import IndexClamp
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.dialects import board_of, stage_of
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.simulator.wire import MOST_WAITING_BYTES, Device, Wire, open_port
-from calrig.simulator.world import SimWire
 
 
 class ScaledClock:
@@ -31,6 +30,22 @@ class ScaledClock:
         return self._time_scale * (self._now_s() - self._start_s)
 
 
+class DevicePort(Protocol):
+    """A device and its port, from `start` until `stop`; `url` is what a client opens."""
+
+    url: str
+
+    def start(self) -> None:
+        """Switches the device on."""
+
+    def stop(self) -> None:
+        """Pulls it out."""
+
+
+PlugIn = Callable[[Device, str, int, Callable[[], None]], DevicePort]
+"""Gives a device a port: by a name, the most bytes that wait unread, and a callback for its opening."""
+
+
 class SimulatedRig:
     """A stage and a board behind two serial ports, and a clamp behind a third where there is one.
 
@@ -45,38 +60,37 @@ class SimulatedRig:
         stage_port, imu_port: what `serial.serial_for_url` opens.
         stage_driver, imu_driver: of calrig, that understand them.
 
-    `virtual` is time for a rig whose ports are in this process (`sim://`); without it they are the system's,
-    and time is the wall's, by `now_s`, seconds which never go back.
+    `now_s` is its time, seconds which never go back. `plug_in` gives its devices their ports; without it they
+    are the system's.
     """
 
     def __init__(
         self,
         settings: SimulatorSettings,
-        virtual: VirtualClock | None = None,
         now_s: Callable[[], float] = time.monotonic,
+        plug_in: PlugIn | None = None,
     ) -> None:
+        plug_in = plug_in or partial(_plugged, settings)
         self.settings = settings
-        self.clock = ScaledClock(settings.time_scale, now_s if virtual is None else virtual.now_s)
+        self.clock = ScaledClock(settings.time_scale, now_s)
         self.bench = Bench(settings)
         self.stage = stage_of(settings.stage.driver)(settings.stage, self.bench, self.clock)
         self.board = board_of(settings.board.sketch)(settings.board, settings.imu, self.bench, self.clock)
         self.stage_driver, self.imu_driver = settings.stage.driver, self.board.driver
-        self.stage_wire = _plugged(self.stage, "stage", settings, virtual)
-        self.board_wire = _plugged(
-            self.board, "board", settings, virtual, self.board.most_waiting_bytes, self.board.opened
-        )
+        self.stage_wire = plug_in(self.stage, "stage", MOST_WAITING_BYTES, _ignore_opening)
+        self.board_wire = plug_in(self.board, "board", self.board.most_waiting_bytes, self.board.opened)
         self.stage_port, self.imu_port = self.stage_wire.url, self.board_wire.url
-        self.clamp_wire: Wire | SimWire | None = None
+        self.clamp_wire: DevicePort | None = None
         if settings.clamp is not None:
             clamp = IndexClamp(settings.clamp, self.bench, self.clock)
-            self.clamp_wire = _plugged(clamp, "clamp", settings, virtual)
+            self.clamp_wire = plug_in(clamp, "clamp", MOST_WAITING_BYTES, _ignore_opening)
 
     @property
     def clamp_port(self) -> str | None:
         """What `serial.serial_for_url` opens to have the unit turned; None where hands do that."""
         return None if self.clamp_wire is None else self.clamp_wire.url
 
-    def _wires(self) -> list[Wire | SimWire]:
+    def _wires(self) -> list[DevicePort]:
         clamp = [] if self.clamp_wire is None else [self.clamp_wire]
         return [self.stage_wire, self.board_wire, *clamp]
 
@@ -98,14 +112,15 @@ class SimulatedRig:
         self.stop()
 
 
+def _ignore_opening() -> None:
+    """For a device that an opened port does not reset."""
+
+
 def _plugged(
+    settings: SimulatorSettings,
     device: Device,
     name: str,
-    settings: SimulatorSettings,
-    virtual: VirtualClock | None,
-    most_waiting_bytes: int = MOST_WAITING_BYTES,
-    opened: Callable[[], None] = lambda: None,
-) -> Wire | SimWire:
-    if virtual is not None:
-        return SimWire(device, name, virtual, most_waiting_bytes, opened)
+    most_waiting_bytes: int,
+    opened: Callable[[], None],
+) -> Wire:
     return Wire(device, open_port(settings.ports, opened), f"simulated {name}", most_waiting_bytes)

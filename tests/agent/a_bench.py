@@ -18,14 +18,14 @@ from empty_store import lay_empty_store
 from psycopg.types.json import Json
 from sqlalchemy import make_url
 from support import QUICK, fast, known_as, wait_for
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.agent.agent import Agent
 from calrig.agent.link import NOW
 from calrig.analysis.revisions import NoDrafts
 from calrig.plan import Plan
 from calrig.runs.service import RunService
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
 from calrig.store.postgresql.set_up import ORDERS
 
@@ -38,7 +38,7 @@ class Rig:
     """A simulated rig whose table the tests look at, and the settings that a service knows it by."""
 
     def __init__(self, name: str, clock: VirtualClock, **options: Any) -> None:
-        self.simulated = SimulatedRig(fast(options), clock)
+        self.simulated = virtual_rig(fast(options), clock)
         self.settings = known_as(name, self.simulated).model_copy(update={"simulated": {}})
 
     def has_moved(self) -> bool:

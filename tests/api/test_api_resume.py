@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from command_line import calrig, reason
 from support import after_commits, ended, fast, known_as, running_service, serving
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.plan import Plan
 from calrig.runs.run_queue import mark_interrupted
 from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 
 PLAN: dict[str, Any] = {"elevations_deg": [-60, 60], "sweeps": 2, "settle_s": 0.5, "dwell_s": 1.0}
 OFFSET_DEG = 0.8
@@ -69,7 +70,7 @@ class Killed:
 def killed_in_a_move(store_path: Path, **stage: Any) -> Iterator[Killed]:
     clock = VirtualClock()
     options = fast({"stage": {"driver": "grbl", **stage}, "mechanics": {"power_up_deg": 0.0}})
-    with SimulatedRig(options, clock) as simulated:
+    with virtual_rig(options, clock) as simulated:
         rig = known_as("stepper", simulated)
         with clock.taking_part(), running_service(store_path, rig) as service:
             run = service.start(unit="AS-1", plan=Plan.model_validate(PLAN))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 from studies.demo import judged, measured
-
-from calrig.simulator.virtual_clock import VirtualClock
+from virtual_time.clock import VirtualClock
 
 
 @pytest.mark.statistical

@@ -10,11 +10,11 @@ import pytest
 from postgresql_server import MakeDatabase
 from support import QUICK, running_service
 from table_bench import MakeCentre, Measured, TableBench, packed
+from virtual_time.clock import VirtualClock
 
 from calrig.centre.service import CentreService
 from calrig.plan import Plan
 from calrig.settings import RigSettings
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
 
 

@@ -12,11 +12,11 @@ import pytest
 from sqlalchemy import make_url
 from support import serving, wait_for
 from table_bench import TableBench
+from virtual_time.clock import VirtualClock
 
 from calrig.analysis.errors import Conflict, Unknown
 from calrig.centre.service import CentreService
 from calrig.plan import Plan
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store.bench_tables import BenchCommandTable
 from calrig.store.postgresql.database import TURN
 

@@ -43,6 +43,6 @@ def moves_log(targets_deg=SWEEP_DEG, *, velocity_dps=20.0, acceleration_dps2=80.
         time_s,
         np.degrees(np.arctan2(counts[:, 1], counts[:, 2])),
         counts[:, 4] * 250.0 / 32768.0,
-        bench.true_elevation_deg(time_s),
+        bench.sensor(time_s).angle_deg,
         np.array(moves),
     )

@@ -14,8 +14,7 @@ from firmware_board import FirmwareBoard, Line
 from firmware_build import TWIN, build_core, build_harness, build_sketch, build_twin, missing
 from firmware_physics import Served, Swing
 from firmware_twin import Twin
-
-from calrig.simulator.virtual_clock import VirtualClock
+from virtual_time.clock import VirtualClock
 
 
 class Built(NamedTuple):

@@ -17,6 +17,7 @@ from typing import Self
 
 import numpy as np
 import serial
+from virtual_time.clock import VirtualClock
 
 from calrig.instruments.boards.calrig.driver import RECORD
 from calrig.instruments.boards.calrig.packets import (
@@ -27,7 +28,6 @@ from calrig.instruments.boards.calrig.packets import (
     SAMPLE,
     PacketDecoder,
 )
-from calrig.simulator.virtual_clock import VirtualClock
 
 Counts = Callable[[float], np.ndarray]
 """The sensor's seven registers at an instant, in seconds since the board was switched on."""

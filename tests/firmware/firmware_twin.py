@@ -10,8 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from calrig.simulator.virtual_clock import VirtualClock
-from calrig.simulator.world import SimWire
+from virtual_time.clock import VirtualClock
+from virtual_time.world import SimWire
 
 STEP_S = 0.002
 """The twin waits for permission this often, and takes one command each time."""

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from firmware_board import FirmwareBoard, InStep
 from support import running_service
+from virtual_time.clock import VirtualClock
+from virtual_time.world import SimWire
 
 from calrig.plan import Plan
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.stages.smc100 import Smc100
-from calrig.simulator.virtual_clock import VirtualClock
-from calrig.simulator.world import SimWire
 
 
 def test_a_unit_is_calibrated_through_the_firmware_on_the_simulated_stage(built, tmp_path):

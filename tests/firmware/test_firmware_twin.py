@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from firmware_twin import BOOT_S, Twin
 from support import running_service
+from virtual_time.clock import VirtualClock
+from virtual_time.world import SimWire
 
 from calrig.estimation.angles import elevation_deg
 from calrig.instruments.boards.calrig.driver import CalrigBoard
@@ -23,8 +25,6 @@ from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, Stage
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.stages.smc100 import Smc100
-from calrig.simulator.virtual_clock import VirtualClock
-from calrig.simulator.world import SimWire
 
 RATE_HZ = 200
 GYRO_BIAS_DPS = 1.4

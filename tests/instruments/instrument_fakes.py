@@ -8,9 +8,10 @@ import os
 import struct
 import tty
 
+from virtual_time.clock import VirtualClock, VirtualEvent, VirtualThread
+from virtual_time.world import SimWire
+
 from calrig.instruments.types import Samples
-from calrig.simulator.virtual_clock import VirtualClock, VirtualEvent, VirtualThread
-from calrig.simulator.world import SimWire
 
 CLOCK = VirtualClock()
 """The time of these devices. The test's thread takes part: time stands unless the test waits."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from contextlib import ExitStack, closing
 
+import numpy as np
 import pytest
 from stage_ports import InProcessPort
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.instruments.index_clamp import ClampError, IndexClamp
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 
 
 @pytest.fixture
@@ -20,7 +21,7 @@ def make_rig():
     with ExitStack() as stack:
         stack.enter_context(clock.taking_part())
         yield lambda **clamp: stack.enter_context(
-            SimulatedRig(SimulatorSettings.from_options({"preset": "ideal", "clamp": clamp}), clock)
+            virtual_rig(SimulatorSettings.from_options({"preset": "ideal", "clamp": clamp}), clock)
         )
 
 
@@ -31,7 +32,8 @@ def test_it_says_who_it_is_and_answers_once_the_unit_sits(make_rig):
         began_s = rig.clock()
         head.turn_to(-90.0, "x")
         assert 1.0 < rig.clock() - began_s < 3.0
-        assert rig.bench.true_elevation_deg([rig.clock()])[0] == pytest.approx(4.0 - 90.0)  # stands at 4°
+        stands_deg = rig.bench.sensor(np.array([rig.clock()])).angle_deg
+        assert stands_deg == pytest.approx(4.0 - 90.0)  # the stage stands at 4°
         with pytest.raises(ClampError, match=r"refused CLAMP 90\.000 w: unknown"):
             head.turn_to(90.0, "w")
 

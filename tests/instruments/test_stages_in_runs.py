@@ -8,13 +8,14 @@ from contextlib import contextmanager
 
 import pytest
 from support import LONG, QUICK, after_commits, fast, known_as, running_service, wait_for
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import RigSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.stages.grbl import State
-from calrig.simulator.virtual_clock import VirtualClock
 
 OFFSET_DEG = 0.8
 """The mount's, in `support.FAST`."""
@@ -59,7 +60,7 @@ def test_a_stepper_that_is_reset_on_the_way_fails_the_run_and_gives_no_angle(hom
     clock = VirtualClock()
     options = {"stage": {"driver": "grbl", "homing": homing}}
     with (
-        SimulatedRig(fast(options), clock) as simulated,
+        virtual_rig(fast(options), clock) as simulated,
         clock.taking_part(),
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):
@@ -77,7 +78,7 @@ def test_a_stepper_that_runs_into_its_limit_switch_fails_the_run_with_its_alarm_
 ):
     clock = VirtualClock()
     with (
-        SimulatedRig(fast({"stage": {"driver": "grbl"}}), clock) as simulated,
+        virtual_rig(fast({"stage": {"driver": "grbl"}}), clock) as simulated,
         clock.taking_part(),
         running_service(store_path, known_as("bench-1", simulated)) as service,
     ):

@@ -7,12 +7,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 from support import after_commits, fast, known_as
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.analysis.diagnoses import Diagnoses
 from calrig.plan import Plan
 from calrig.runs.service import RunService
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Event, Run, Store
 
 STANDS_DPS = 1e-6
@@ -47,7 +47,7 @@ class TruthRig:
     """
 
     def __init__(self, name: str = "bench-1", **options: Any) -> None:
-        self.simulated = SimulatedRig(fast(options), CLOCK)
+        self.simulated = virtual_rig(fast(options), CLOCK)
         self.time_scale = self.simulated.settings.time_scale
         self.settings = known_as(name, self.simulated)
 

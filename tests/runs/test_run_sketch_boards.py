@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from run_rigs import CLOCK, plan
+from virtual_time import virtual_rig
 
 from calrig.export.samples_csv import sample_columns
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
 
 OFFSET_DEG = 0.8
 STAGE = {"velocity_dps": 60.0, "acceleration_dps2": 240.0, "homing_velocity_dps": 30.0}
@@ -28,7 +28,7 @@ def calibrate(store):
             "mount": {"offset_deg": OFFSET_DEG},
             "board": {"sketch": sketch, **board},
         }
-        with SimulatedRig(SimulatorSettings.from_options(options), CLOCK) as rig:
+        with virtual_rig(SimulatorSettings.from_options(options), CLOCK) as rig:
             settings = RigSettings(
                 name=f"{stage}-{sketch}",
                 stage=StageSettings(driver=stage, port=rig.stage_port),

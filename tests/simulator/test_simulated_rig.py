@@ -152,7 +152,7 @@ def test_the_bench_behind_the_ports_knows_the_truth():
         stage.write(b"1OR\r\n")
         wait_for(stage, "1TS000032")
         with simulated.bench.lock:
-            truth_deg = simulated.bench.true_elevation_deg(np.array([simulated.clock()]))
+            truth_deg = simulated.bench.sensor(np.array([simulated.clock()])).angle_deg
         assert truth_deg == pytest.approx([0.8])
 
 

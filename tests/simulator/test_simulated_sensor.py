@@ -69,7 +69,7 @@ def test_the_integrated_gyro_is_what_the_sensor_turned():
     end_s = table.mechanics.move(start_s, 45.0, 20.0, 80.0).at_s
     times_s = np.arange(start_s, end_s + 0.1, 1 / 1000)
     rate_dps = table.counts(times_s)[:, GX].astype(float) * 250 / 32768
-    turned_deg = np.diff(table.true_elevation_deg(times_s)[[0, -1]])[0]
+    turned_deg = np.diff(table.sensor(times_s).angle_deg[[0, -1]])[0]
     assert np.trapezoid(rate_dps, times_s) == pytest.approx(turned_deg, abs=0.02)
 
 
@@ -86,7 +86,7 @@ def test_the_integrated_gyro_is_what_the_sensor_turned():
 )
 def test_what_the_mount_adds_to_an_elevation_of_60_degrees(mount, moved_deg):
     table, ready_s = standing_at(60.0, mount=mount)
-    assert table.true_elevation_deg(np.array([ready_s]))[0] == pytest.approx(60.0 + moved_deg, abs=1e-9)
+    assert table.sensor(np.array([ready_s])).angle_deg[0] == pytest.approx(60.0 + moved_deg, abs=1e-9)
 
 
 def test_a_slip_is_a_step_that_the_gyro_feels():
@@ -232,11 +232,11 @@ def test_a_package_that_heat_reaches_late_follows_the_swing_of_the_room_like_a_f
 
 def test_a_joint_creeps_by_as_much_in_each_tenfold_of_time_and_the_gyro_feels_how_fast():
     table = bench(mount={"creep_deg_per_decade": 0.1}, mechanics={"power_up_deg": 0.0})
-    crept_deg = table.true_elevation_deg(np.array([1.0, 10.0, 100.0, 1000.0]))
+    crept_deg = table.sensor(np.array([1.0, 10.0, 100.0, 1000.0])).angle_deg
     np.testing.assert_allclose(np.diff(crept_deg), 0.1, rtol=0.02)
     fine_s = np.linspace(5.0, 6.0, 1001)
     turned_deg = np.trapezoid(table.angular_rate_dps(fine_s)[:, 0], fine_s)
-    assert turned_deg == pytest.approx(np.diff(table.true_elevation_deg(fine_s[[0, -1]]))[0], rel=1e-4)
+    assert turned_deg == pytest.approx(np.diff(table.sensor(fine_s[[0, -1]]).angle_deg)[0], rel=1e-4)
 
 
 def test_the_demo_rig_hides_effects_but_no_blunder():

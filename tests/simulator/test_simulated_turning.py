@@ -7,12 +7,12 @@ import pytest
 import serial
 from scipy.spatial.transform import Rotation
 from support import PATIENCE_S
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.stages.grbl.firmware import BYTE_S
-from calrig.simulator.virtual_clock import VirtualClock
 
 AX, AY, AZ, TEMP, GX, GY, GZ = range(7)
 RATE_HZ = 200.0
@@ -91,7 +91,7 @@ def test_the_chips_filter_tells_each_channel_as_late_as_its_register_map_says(dl
     bench, begin_s, counts = turned(imu={"dlpf_cfg": dlpf_cfg})
     elevation_deg = np.degrees(np.arctan2(counts[TURNING, AY], counts[TURNING, AZ]))
     since_s = np.arange(len(counts)) / RATE_HZ
-    behind_deg = bench.true_elevation_deg(begin_s + since_s[TURNING]) - elevation_deg
+    behind_deg = bench.sensor(begin_s + since_s[TURNING]).angle_deg - elevation_deg
     assert behind_deg.mean() == pytest.approx(VELOCITY_DPS * accel_s, abs=2e-4)
     ramp = slice(5, 13)  # 25 to 60 ms after the beginning: the rate rises in proportion
     rate_dps = counts[ramp, GX] * 250 / 32768
@@ -145,7 +145,7 @@ def test_a_turning_stage_says_where_it_was_when_it_was_asked_or_a_told_time_befo
         "acceleration_dps2": ACCELERATION_DPS2,
     }
     clock = VirtualClock()
-    rig = SimulatedRig(SimulatorSettings.from_options({"preset": "ideal", "stage": stage}), clock)
+    rig = virtual_rig(SimulatorSettings.from_options({"preset": "ideal", "stage": stage}), clock)
     with clock.taking_part(), rig, serial.serial_for_url(rig.stage_port, timeout=PATIENCE_S) as port:
         port.write(home.encode())
         clock.sleep(10.0)

@@ -7,13 +7,13 @@ import threading
 
 import pytest
 import serial
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock, Wait
 
 from calrig.instruments.clock import WALL
 from calrig.instruments.errors import PortError
 from calrig.instruments.ports import clock_of, open_port
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock, Wait
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_no_faster_than_it_may_be_while_nobody_waits_for_it():
 
 @pytest.fixture
 def rig(clock):
-    with SimulatedRig(SimulatorSettings(), clock) as rig:
+    with virtual_rig(SimulatorSettings(), clock) as rig:
         yield rig
 
 

@@ -14,14 +14,14 @@ from typing import Any
 
 from empty_store import lay_empty_store
 from support import known_as
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.calibration.diagnosis.tracing import diagnose
 from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
 
 IN_IT = ("backlash", "accelerometer_offset", "temperature_offset", "stage_eccentricity")
@@ -34,7 +34,7 @@ def measured(seed: int, folder: Path, clock: VirtualClock) -> list[Pose]:
     """The poses of the default plan on a demo rig."""
     path = folder / f"{seed}.db"
     lay_empty_store(path)
-    rig = SimulatedRig(SimulatorSettings.from_options({"preset": "demo", "seed": seed}), clock)
+    rig = virtual_rig(SimulatorSettings.from_options({"preset": "demo", "seed": seed}), clock)
     with rig, Store.open(f"sqlite:///{path}", writer="tests") as store:
         service = RunService(store, [known_as(f"demo-{seed}", rig)])
         run = service.start(unit="AS-0042", plan=Plan())

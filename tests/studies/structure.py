@@ -110,12 +110,11 @@ def of_a_run() -> Iterator[tuple[str, int]]:
     """What a run of six poses enters."""
     sys.path.insert(0, str(TREE.parent / "tests"))
     from support import QUICK, fast, known_as, running_service, serving
-
-    from calrig.simulator.rig import SimulatedRig
-    from calrig.simulator.virtual_clock import VirtualClock
+    from virtual_time import virtual_rig
+    from virtual_time.clock import VirtualClock
 
     clock, watch = VirtualClock(20.0), Watch()
-    with tempfile.TemporaryDirectory() as folder, SimulatedRig(fast({}), clock) as simulated:
+    with tempfile.TemporaryDirectory() as folder, virtual_rig(fast({}), clock) as simulated:
         rig = known_as("bench-1", simulated).model_copy(update={"simulated": {}})
         with (
             running_service(Path(folder) / "calrig.db", rig) as service,

@@ -23,12 +23,11 @@ import numpy as np
 
 from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, VISITS, few_places
 from calrig.calibration.poses import Pose
-from calrig.calibration.regression.channels import BoolArray
 from calrig.calibration.regression.motion import approach_of
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.spline import natural_spline
 from calrig.estimation.angle_text import angle_text
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 LEVEL = 0.01
 SLOW, STANDARD_ERRORS = 0.3, 4.0

@@ -30,7 +30,6 @@ from calrig.calibration.diagnosis.candidates import Candidate
 from calrig.calibration.diagnosis.drawn_fits import DrawnFits
 from calrig.calibration.diagnosis.screen import Float32Array, Screen
 from calrig.calibration.effects import UNNAMED
-from calrig.calibration.regression.channels import BoolArray
 from calrig.calibration.regression.noise_model import (
     STRONG_RHO,
     Fit,
@@ -39,7 +38,7 @@ from calrig.calibration.regression.noise_model import (
     noise_of,
 )
 from calrig.calibration.regression.responses import Responses
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 QUANTILE, UNNAMED_QUANTILE = 0.98, 0.995
 """Of what a name gains from noise, where its own bar lies: an effect that has a name is likelier beforehand

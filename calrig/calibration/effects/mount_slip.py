@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calrig.calibration.regression.channels import MOVE, BoolArray
+from calrig.calibration.regression.channels import MOVE
 from calrig.calibration.regression.effect import (
     TIME,
     Applied,
@@ -18,7 +18,7 @@ from calrig.calibration.regression.effect import (
 )
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import tilted, turned
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 EDGE_POSES = 3
 """A slip needs this many poses on either side: fewer are outliers."""

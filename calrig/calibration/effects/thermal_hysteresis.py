@@ -12,7 +12,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calrig.calibration.regression.channels import BoolArray
 from calrig.calibration.regression.effect import (
     TEMPERATURE,
     Applied,
@@ -24,7 +23,7 @@ from calrig.calibration.regression.effect import (
 )
 from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import one_leg, said_of_one_leg, tilted, warmer_c
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 LAGS = 10
 LARGEST_DEG_PER_C = 1.0

@@ -13,7 +13,6 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from calrig.calibration.histories.repeatability import (
-    BoolArray,
     IntArray,
     Repeatability,
     Runs,
@@ -21,7 +20,7 @@ from calrig.calibration.histories.repeatability import (
     pairs,
     repeatability,
 )
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 
 def rejection_level(p_value: FloatArray, rate: float) -> float:

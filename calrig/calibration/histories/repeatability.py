@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 IntArray = npt.NDArray[np.intp]
 
@@ -195,8 +195,6 @@ def _same(group: IntArray) -> tuple[IntArray, IntArray]:
     within = np.arange(len(left)) - np.repeat(np.cumsum(partners) - partners, partners)
     return left, begins[group[left]] + within
 
-
-BoolArray = npt.NDArray[np.bool_]
 
 FEWEST_REPEATS = 3
 """Least number of repeats: of two that disagree, either may be the change."""

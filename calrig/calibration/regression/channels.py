@@ -13,9 +13,7 @@ import numpy.typing as npt
 
 from calrig.calibration.line import reading_error_deg
 from calrig.calibration.poses import Pose, column_of, same
-from calrig.estimation.angles import FloatArray
-
-BoolArray = npt.NDArray[np.bool_]
+from calrig.estimation.angles import BoolArray, FloatArray
 
 READING, ANGLE, NORM, MOVE, STAGE = "reading", "accel_angle", "accel_norm", "gyro_move", "stage"
 CHANNELS = {

@@ -20,8 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.poses import Filtering, Pose, column_of
-from calrig.calibration.regression.channels import BoolArray
-from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.angles import BoolArray, FloatArray, wrap_deg
 from calrig.estimation.gains import steady_state_gain
 from calrig.estimation.gyro import gyro_scale
 from calrig.estimation.kalman import KalmanNoise

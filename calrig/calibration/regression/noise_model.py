@@ -24,9 +24,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from calrig.calibration.regression.channels import BoolArray
 from calrig.calibration.regression.responses import Responses
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray, Intp
 
 LARGEST_RHO = 0.95
 SMALLEST_RHO = -0.5
@@ -488,9 +487,6 @@ def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased
     if unbiased:
         rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / len(residuals)
     return NoiseModel(rotation, np.clip(rho, SMALLEST_RHO, LARGEST_RHO))
-
-
-Intp = npt.NDArray[np.intp]
 
 
 class Steps(NamedTuple):

@@ -22,14 +22,7 @@ from calrig.calibration.poses import (
     refuse_what_is_no_elevation,
     refuse_what_is_on_its_way,
 )
-from calrig.calibration.regression.channels import (
-    ANGLE,
-    READING,
-    BoolArray,
-    Channels,
-    add_witnesses,
-    turn_size,
-)
+from calrig.calibration.regression.channels import ANGLE, READING, Channels, add_witnesses, turn_size
 from calrig.calibration.regression.motion import (
     Motion,
     approach_of,
@@ -44,7 +37,7 @@ from calrig.calibration.regression.motion import (
     with_approach,
 )
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 FEWEST_POSES = 8
 NO_HISTORY = (

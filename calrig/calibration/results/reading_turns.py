@@ -15,8 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from calrig.calibration.line import MIN_SCALE
-from calrig.calibration.regression.channels import BoolArray
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray
 
 HALF_TURN_DEG, TURN_DEG = 180.0, 360.0
 AT_ITS_END_DEG = 1e-3

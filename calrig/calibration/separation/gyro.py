@@ -28,10 +28,9 @@ import numpy as np
 
 from calrig.calibration.poses import GYRO_MEANS, GYRO_MOVES, HOST_TIME, Pose
 from calrig.calibration.separation.least_squares import IDENTIFIED, Fit
-from calrig.calibration.separation.pose_table import Intp
 from calrig.calibration.separation.stage_map import basis
 from calrig.calibration.separation.unit_results import Accelerometer, slopes_of
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, Intp
 from calrig.estimation.turning import ClockRate, clock_rate
 
 EARTH_DPS = 15.041 / 3600.0

@@ -13,9 +13,9 @@ import numpy as np
 
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.separation.least_squares import Fit, fitted
-from calrig.calibration.separation.pose_table import BoolArray, Intp, Table
+from calrig.calibration.separation.pose_table import Table
 from calrig.calibration.separation.problem import Problem
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray, Intp
 
 STRETCHES = 6
 FEWEST_OF_A_STRETCH = 2

@@ -27,13 +27,12 @@ from calrig.calibration.regression.terms import covered
 from calrig.calibration.separation.accelerometer import IN_PLANE, SKEW
 from calrig.calibration.separation.least_squares import Fit
 from calrig.calibration.separation.normal_equations import whitened
-from calrig.calibration.separation.pose_table import Intp
 from calrig.calibration.separation.stage_map import (
     HIGHEST_ORDER,
     TURN_DEG,
     highest_identifiable_order,
 )
-from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.angles import FloatArray, Intp, wrap_deg
 
 Cause = Literal["map", "time", "unit"]
 LEVEL = 0.01

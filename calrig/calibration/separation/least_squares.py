@@ -17,9 +17,9 @@ import numpy as np
 
 from calrig.calibration.diagnosis.outliers import most_outliers
 from calrig.calibration.separation.normal_equations import Inverse, Normal
-from calrig.calibration.separation.pose_table import GROSS_G, BoolArray, Intp
+from calrig.calibration.separation.pose_table import GROSS_G
 from calrig.calibration.separation.problem import Problem
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray, Intp
 
 STEPS = 30
 CONVERGED = 1e-4

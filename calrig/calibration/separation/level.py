@@ -34,8 +34,7 @@ from typing import Literal
 import numpy as np
 
 from calrig.calibration.separation.least_squares import Fit
-from calrig.calibration.separation.pose_table import Intp
-from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.estimation.angles import FloatArray, Intp, wrap_deg
 
 SAME_SEAT_DEG = 5.0
 """An angle that was not stated is that of the nearest seat within this."""

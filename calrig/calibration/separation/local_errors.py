@@ -15,9 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from calrig.calibration.separation.least_squares import Fit, fitted
-from calrig.calibration.separation.pose_table import GROSS_G, BoolArray, Table
+from calrig.calibration.separation.pose_table import GROSS_G, Table
 from calrig.calibration.separation.stage_map import MARGIN_DEG, TURN_DEG, Region
-from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
+from calrig.estimation.angles import BoolArray, FloatArray, robust_std, wrap_deg
 
 WINDOWS_DEG = (0.02, 0.5, 1.0, 2.0, 4.0)
 LEVEL = 0.01

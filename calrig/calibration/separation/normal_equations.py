@@ -11,18 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calrig.calibration.separation.pose_table import BoolArray, Intp
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray, Intp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arrow:
-    """A symmetric matrix of p parameters in blocks, with 0 between any two of them.
+class _Blocks:
+    """Blocks of p parameters, and the border that all of them touch.
 
     Attributes:
         size: p.
         blocks: places (k,) of each, ascending; `inside` (k, k) and `across` (k, q), beside the border.
-        border: places (q,) that all of them touch, and `middle` (q, q).
+        border: places (q,), and `middle` (q, q).
     """
 
     size: int
@@ -31,6 +30,12 @@ class Arrow:
     across: tuple[FloatArray, ...]
     border: Intp
     middle: FloatArray
+
+
+class Arrow(_Blocks):
+    """A symmetric matrix, with 0 between any two blocks."""
+
+    __slots__ = ()
 
     def plus(self, diagonal: FloatArray) -> Arrow:
         """The same and a diagonal (p,)."""
@@ -77,23 +82,16 @@ class Normal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Inverse:
-    """Of an arrow of p parameters; 0 of those in no block and not in the border.
+class Inverse(_Blocks):
+    """Of an arrow; 0 of parameters in no block and not in the border.
+
+    `inside` is the inverse of each block by itself, `across` that times what stands beside the block in the
+    border, and `middle` the inverse in the border.
 
     Attributes:
-        size: p.
-        blocks: places (k,) of each block; `inside` (k, k) the inverse of each by itself, `across` (k, q) that
-            times what stands beside it in the border.
-        border: places (q,), and `middle` (q, q) the inverse there.
         log_determinant: of the whole.
     """
 
-    size: int
-    blocks: tuple[Intp, ...]
-    inside: tuple[FloatArray, ...]
-    across: tuple[FloatArray, ...]
-    border: Intp
-    middle: FloatArray
     log_determinant: float
 
     def solve(self, right: FloatArray) -> FloatArray:

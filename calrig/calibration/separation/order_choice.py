@@ -19,10 +19,9 @@ import numpy as np
 from calrig.calibration.poses import DiagnosisError
 from calrig.calibration.separation.accelerometer import OF_CUBIC, OF_LINEAR
 from calrig.calibration.separation.least_squares import Fit
-from calrig.calibration.separation.pose_table import BoolArray, Intp
 from calrig.calibration.separation.problem import Problem
 from calrig.calibration.separation.stage_map import LARGEST_RAD, basis, resolved_orders
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray, Intp
 
 LEVEL = 0.05
 """Family-wise: the chance that noise alone brings any order into the map."""

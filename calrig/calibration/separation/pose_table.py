@@ -14,16 +14,12 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from calrig.calibration.poses import MOUNT_DEG, DiagnosisError, Pose, complete, refuse_what_is_no_elevation
 from calrig.calibration.regression.motion import approach_of, has_history
 from calrig.calibration.regression.terms import LEAST_TEMPERATURE_RANGE_C
 from calrig.calibration.separation.clamping import FACES, face_matrix
-from calrig.estimation.angles import FloatArray, wrap_deg
-
-BoolArray = npt.NDArray[np.bool_]
-Intp = npt.NDArray[np.intp]
+from calrig.estimation.angles import BoolArray, FloatArray, Intp, wrap_deg
 
 FEWEST_POSES = 8
 FEWEST_OF_A_MOUNT = 2

@@ -34,9 +34,9 @@ from calrig.calibration.separation.accelerometer import (
 )
 from calrig.calibration.separation.clamping import stage_direction, tilted
 from calrig.calibration.separation.normal_equations import Arrow, Inverse, Normal, inverse_of, whitened
-from calrig.calibration.separation.pose_table import BoolArray, Intp, Table
+from calrig.calibration.separation.pose_table import Table
 from calrig.calibration.separation.stage_map import LARGEST_BACKLASH_RAD, LARGEST_RAD, basis
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import BoolArray, FloatArray, Intp
 
 LARGEST_TILT_RAD = np.radians(10.0)
 """A sensor in its case, and the case on its seat."""

@@ -28,7 +28,7 @@ from calrig.calibration.separation.least_squares import (
 from calrig.calibration.separation.level import Level, level_of
 from calrig.calibration.separation.local_errors import without_regions
 from calrig.calibration.separation.order_choice import Choice, always, chosen, offered
-from calrig.calibration.separation.pose_table import BoolArray, MountedPoses, Table, table_of
+from calrig.calibration.separation.pose_table import MountedPoses, Table, table_of
 from calrig.calibration.separation.problem import PLAIN, Problem
 from calrig.calibration.separation.spread import spread_of
 from calrig.calibration.separation.stage_map import TURN_DEG, Region, inside_regions
@@ -38,7 +38,7 @@ from calrig.calibration.separation.unit_results import (
     elevation_uncertainty,
     in_plane,
 )
-from calrig.estimation.angles import wrap_deg
+from calrig.estimation.angles import BoolArray, wrap_deg
 
 MOST_TILT_DEG = 25.0
 """Of an axis that was stated to lie along the stage's."""

@@ -32,9 +32,9 @@ from calrig.calibration.separation.accelerometer import (
 )
 from calrig.calibration.separation.least_squares import IDENTIFIED, Fit, at_parameters
 from calrig.calibration.separation.level import Level
-from calrig.calibration.separation.pose_table import Intp, Mount
+from calrig.calibration.separation.pose_table import Mount
 from calrig.calibration.separation.problem import Problem
-from calrig.estimation.angles import AXES, FloatArray, wrap_deg
+from calrig.estimation.angles import AXES, FloatArray, Intp, wrap_deg
 from calrig.model.solution import Frame
 
 STEP = 1e-6

@@ -95,8 +95,8 @@ def uncertainty(
     of_stage_deg = part.elevation_deg
     k = None
     if type_a is not None:
-        distribution = "normal" if reference.kind == "setting" else reference.distribution
-        k = coverage_factor(type_a, len(theta_deg) - 2.0 - line.effect_parameters, of_stage_deg, distribution)
+        freedom = len(theta_deg) - 2.0 - line.effect_parameters
+        k = coverage_factor(type_a, freedom, of_stage_deg, reference.combined_distribution)
     return Uncertainty(
         type_a_deg=type_a,
         type_b_deg=of_stage_deg,

@@ -178,8 +178,7 @@ def cannot_pass(limit: Limit, reference: Reference | None, theta_deg: FloatArray
         ]
     scale = 1.0 if np.ptp(theta_deg) > 0.0 else None
     part = reference_part(theta_deg, scale, reference)
-    distribution = "normal" if reference.kind == "setting" else reference.distribution
-    k = coverage_factor(0.0, 1.0, 1.0, distribution)
+    k = coverage_factor(0.0, 1.0, 1.0, reference.combined_distribution)
     of_elevation = k * part.elevation_deg
     reasons = []
     if limit.expanded_uncertainty_deg is not None and of_elevation > limit.expanded_uncertainty_deg:

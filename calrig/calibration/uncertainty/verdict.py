@@ -450,8 +450,8 @@ def _line_expanded(
     if variance < 0.0:  # of a document that somebody else made
         return None
     own = math.sqrt(variance)
-    distribution = "normal" if reference.kind == "setting" else reference.distribution
-    return coverage_factor(own, found.freedom, of_stage, distribution) * math.hypot(own, of_stage)
+    factor = coverage_factor(own, found.freedom, of_stage, reference.combined_distribution)
+    return factor * math.hypot(own, of_stage)
 
 
 def _test(limit: Limit, result: Result, calibration: Document | None, *, relied_on: bool) -> _Tested:

@@ -97,12 +97,11 @@ def _of_reference(document: Mapping[str, Any], reference: Reference | None) -> l
         title = "Stage, mounts and sensor, from their joint solution" if solved else "Stage, by its map"
         line = Contribution("θ", title, "B", "normal", math.inf, of_stage_deg, "°", 1.0, "°/°")
     else:
-        distribution = "normal" if reference.kind == "setting" else reference.distribution
         line = Contribution(
             "θ",
             f"Angle of the stage: {KINDS[reference.kind]}",
             "B",
-            distribution,
+            reference.combined_distribution,
             math.inf,
             reference.std_deg,
             "°",

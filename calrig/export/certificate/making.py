@@ -143,8 +143,8 @@ def _line(document: Document, reference: Reference | None, freedom: int | None) 
             found.append(Quantity(key, title, document[key], unit, std=own))
             continue
         own, of_stage = math.sqrt(covariance[k][k]), worth[part]
-        distribution = "normal" if reference.kind == "setting" else reference.distribution
-        factor, std = coverage_factor(own, freedom, of_stage, distribution), math.hypot(own, of_stage)
+        factor = coverage_factor(own, freedom, of_stage, reference.combined_distribution)
+        std = math.hypot(own, of_stage)
         found.append(Quantity(key, title, document[key], unit, std, factor * std, factor, coverage))
     return found
 

@@ -211,7 +211,7 @@ class _Clean:
 
     def _turned_deg(self, times_s: np.ndarray, *, felt_only: bool = False) -> np.ndarray:
         total = np.zeros_like(times_s)
-        elevation = self._bench.true_elevation_deg(times_s)
+        elevation = self._bench.sensor(times_s).angle_deg
         for cause in self._causes:
             if cause.turned is not None and (cause.felt or not felt_only):
                 total = total + cause.turned(times_s, elevation, self._environment.supply_v(times_s))
@@ -223,7 +223,7 @@ class _Clean:
         if not filter_s:
             return np.zeros(len(self._times))
         clock_s = np.arange(0.0, self.when.duration_s, 1.0 / FILTER_RATE_HZ)
-        elevation = self._bench.true_elevation_deg(clock_s)
+        elevation = self._bench.sensor(clock_s).angle_deg
         keep = math.exp(-1.0 / (FILTER_RATE_HZ * filter_s))
         start = [keep * elevation[0]]
         filtered, _ = lfilter([1.0 - keep], [1.0, -keep], elevation, zi=start)

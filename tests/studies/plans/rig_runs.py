@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 from empty_store import lay_empty_store
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.calibration.diagnosis.tracing import diagnose
 from calrig.calibration.plan_design.design_problem import Goals
@@ -22,8 +24,6 @@ from calrig.runs.plan_designs import Designed, DesignRequest, answer, question
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Store
 from tests.studies.blind.layout import Layout
 
@@ -91,7 +91,7 @@ def bench(seed: int, options: Mapping[str, Any] | None = None, *, time_scale: fl
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "calrig.db"
         lay_empty_store(path)
-        rig = SimulatedRig(SimulatorSettings.from_options(made), clock)
+        rig = virtual_rig(SimulatorSettings.from_options(made), clock)
         settings = RigSettings(
             name="bench",
             stage=StageSettings(driver=rig.stage_driver, port=rig.stage_port),

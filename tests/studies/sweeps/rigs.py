@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.calibration.poses import Pose
 from calrig.plan import Plan
 from calrig.runs.service import RunService
 from calrig.settings import BoardSettings, ReferenceSettings, RigSettings, StageSettings
 from calrig.simulator.config import SimulatorSettings
-from calrig.simulator.rig import SimulatedRig
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import Run, Store
 
 BIAS_DEG = 0.8
@@ -75,7 +75,7 @@ def carried_out(
         "seed": seed,
     }
     clock = VirtualClock()
-    simulated = SimulatedRig(SimulatorSettings.from_options(given), clock)
+    simulated = virtual_rig(SimulatorSettings.from_options(given), clock)
     rig = RigSettings(
         name="bench-1",
         stage=StageSettings(driver=simulated.stage_driver, port=simulated.stage_port),

@@ -16,7 +16,8 @@ from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 
-from calrig.simulator.virtual_clock import VirtualClock
+from virtual_time.clock import VirtualClock
+
 from calrig.store import Store
 
 from .counting import Count, Extent, none_of

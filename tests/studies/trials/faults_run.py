@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from virtual_time import virtual_rig
+from virtual_time.clock import VirtualClock
 
 from calrig.estimation.angles import wrap_deg
 from calrig.instruments.clock import WALL, Clock
@@ -21,7 +23,6 @@ from calrig.simulator.bench import Bench
 from calrig.simulator.config import SimulatorSettings
 from calrig.simulator.rig import SimulatedRig
 from calrig.simulator.sketch_board import SketchBoard
-from calrig.simulator.virtual_clock import VirtualClock
 from calrig.store import RawSamples, Run, Store, StoredPose
 
 from .proxy import Proxy
@@ -135,7 +136,8 @@ def try_case(case: Case, store: Store, folder: Path, virtual: VirtualClock | Non
         "board": {"sketch": case.sketch},
     }
     with ExitStack() as stack:
-        rig = SimulatedRig(SimulatorSettings.from_options(options), virtual)
+        made = SimulatorSettings.from_options(options)
+        rig = SimulatedRig(made) if virtual is None else virtual_rig(made, virtual)
         sensed = Sensed(rig.bench)
         proxies = {
             wire: stack.enter_context(_proxy(case, wire, rig, folder, virtual)) for wire in ("stage", "board")
@@ -241,7 +243,7 @@ def _judge_pose(
     if (np.diff(taken_s) <= 0).any():
         outcome.wrong.append(f"{name}: a sample twice, or out of its order")
     with rig.bench.lock:
-        true_deg = rig.bench.true_elevation_deg(taken_s).mean()
+        true_deg = rig.bench.sensor(taken_s).angle_deg.mean()
         table = rig.bench.mechanics.table(taken_s)
         before = rig.bench.mechanics.table(np.arange(0.0, taken_s[0], 0.005))
     off_deg = wrap_deg(pose.reading_deg - true_deg)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 from collections import Counter
 
-from calrig.simulator.virtual_clock import VirtualClock
+from virtual_time.clock import VirtualClock
+from virtual_time.world import SimWire
+
 from calrig.simulator.wire import Device
-from calrig.simulator.world import SimWire
 
 from .proxy_damage import TO_DEVICE, TO_HOST, Damage
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from serial import SerialBase, SerialException
 
-from calrig.simulator.virtual_clock import VirtualClock
-from calrig.simulator.world import SimWire
+from virtual_time.clock import VirtualClock
+from virtual_time.world import SimWire
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer as Buffer

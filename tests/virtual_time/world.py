@@ -14,10 +14,10 @@ from typing import ClassVar
 
 import serial
 
-from calrig.simulator.virtual_clock import VirtualClock, Waits
 from calrig.simulator.wire import MOST_WAITING_BYTES, Device
+from virtual_time.clock import VirtualClock, Waits
 
-serial.protocol_handler_packages.append("calrig.simulator")  # for `sim://NAME`
+serial.protocol_handler_packages.append("virtual_time")  # for `sim://NAME`
 SCHEME = "sim://"
 ON_ITS_WAY_S = 0.001
 """Between what a device says and its coming: so that time moves on however often a client queries."""
