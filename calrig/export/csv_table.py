@@ -281,8 +281,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     """Return how a file is written.
 
     The header is the first line that is neither blank nor a comment; or the comment before it, if only that
-    has known names; or a line further down, if only that has the required ones. A line such as `sep=;` may
-    come before it, and a row of units after it.
+    has known names; or a line further down, if only that has the required, or known, ones. A line such as
+    `sep=;` may come before it, a row of units after it.
 
     Args:
         data: from the file's beginning, a megabyte of rows or all of them.
@@ -358,18 +358,16 @@ PREAMBLE_ROWS, PREAMBLE_BYTES = 100, 100_000
 def _header_elsewhere(
     data: bytes, first: _Row, known: Collection[str], required: Sequence[str]
 ) -> _Row | None:
-    """The header where the first row has no known name: the comment before it, or the row with all required.
-
-    None where neither is there.
-    """
+    """The comment before a row without a known name, or the row below with all required, or known, names."""
     if _has_long_names(first) or has_known(first.text, known):
         return None
     if first.comments:
         bare = first.comments[-1]._replace(text=first.comments[-1].text.lstrip(b" #"))
         if not _has_long_names(bare) and has_known(bare.text, known):
             return bare
-    for row in _rows_below(data, first) if required else ():
-        if not _has_long_names(row) and all(has_known(row.text, [name]) for name in required):
+    wanted = [[name] for name in required] or [known]
+    for row in _rows_below(data, first):
+        if not _has_long_names(row) and all(has_known(row.text, names) for names in wanted):
             return row
     return None
 

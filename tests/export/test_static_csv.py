@@ -43,6 +43,13 @@ def test_counts_of_an_unknown_range_stay_counts():
         accel_g_of(log)
 
 
+def test_a_title_before_the_names_is_passed_over():
+    log = read_static(b"Level surface, Z up.\naccel_x_g,accel_y_g,accel_z_g\n0.1,0,1\n0.2,0,1\n")
+
+    assert log.channels["accel_x_g"].tolist() == [0.1, 0.2]
+    assert log.warnings == ("what comes before the names of the columns, in line 2, is not read",)
+
+
 def test_what_is_no_channel_is_left_out_with_a_warning():
     log = read_static(b"time_s,accel_x_g,lux,gyro_x_dps\n0,1,a,\n1,1,b,\n2,1,c,\n")
 

@@ -268,7 +268,8 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
             yield _smooth(r.theta_deg, count, "target_deg", tilted, has_knots=r.reference_is_good)
     if (each := _through_each_place(r.theta_deg)) is not None:
         shape = _of_function(each, r.theta_deg, "target_deg", AT_EACH_PLACE, tilted)
-        yield replace(shape, knots=tuple(each.at.tolist())) if r.reference_is_good else shape
+        says = f"as measured at {len(each.knots)} angles; between them it is drawn smoothly, and not measured"
+        yield replace(shape, says=says, knots=tuple(each.at.tolist()) if r.reference_is_good else ())
     if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
         for count in KNOTS:
             curve = natural_spline(r.theta_deg, count)

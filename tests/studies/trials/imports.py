@@ -23,7 +23,7 @@ from calrig.export.poses_csv import read_poses, write_poses
 from calrig.export.static_csv import read_static
 from calrig.store import Store
 from tests.studies.trials.counting import Count, Extent, none_of
-from tests.studies.trials.damaged_csv import damaged_log, damaged_poses, rows_of
+from tests.studies.trials.damaged_csv import LOG_COLUMNS, damaged_log, damaged_poses, rows_of
 
 FILES = 100_000
 LOGS = 5
@@ -109,7 +109,11 @@ def _told(data: bytes, warnings: Sequence[str]) -> tuple[list[str], list[list[fl
     """The header, and the rows less those that the reader says are comments, or before the header."""
     header, rows = rows_of(data)
     if any(warning.startswith("what comes before the names") for warning in warnings):
-        k = next(k for k, row in enumerate(rows) if {"target_deg", "reading_deg"} <= set(row))
+        is_of_log = not any("reading_deg" in row for row in rows)
+        wanted = LOG_COLUMNS if is_of_log else ("target_deg", "reading_deg")
+        k = next(
+            k for k, row in enumerate(rows) if (any if is_of_log else all)(name in row for name in wanted)
+        )
         header, rows = [str(name) for name in rows[k]], rows[k + 1 :]
     if any(warning.startswith("comment lines are left out") for warning in warnings):
         rows = [row for row in rows if not str(row[0]).startswith("#")]
