@@ -365,7 +365,7 @@ def _header_elsewhere(
         bare = first.comments[-1]._replace(text=first.comments[-1].text.lstrip(b" #"))
         if not _has_long_names(bare) and has_known(bare.text, known):
             return bare
-    wanted = [[name] for name in required] or [known]
+    wanted = [[name] for name in required] or [[*known]]
     for row in _rows_below(data, first):
         if not _has_long_names(row) and all(has_known(row.text, names) for names in wanted):
             return row
