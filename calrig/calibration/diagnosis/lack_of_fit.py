@@ -258,17 +258,11 @@ def _experiment(lack: LackOfFit, temperature: bool) -> str:
 def with_free_curve(r: Responses, visits: float = VISITS) -> Responses | None:
     """Return the responses with a free curve of the elevation for each approach; None with too few poses.
 
-    Of a few places, each visited so often, it is any value at each.
+    Of a few places, each visited so often from a side, it is any value at each.
     """
-    sides = [np.ones(len(r), dtype=bool)]
-    if r.approach is not None and len(np.unique(r.approach[r.approach != 0.0])) > 1:
-        sides = [r.approach > 0.0, r.approach <= 0.0]
-    places = few_places(r.theta_deg, visits)
-    if places is not None:
-        each = places[:, None] == np.arange(places.max() + 1)
-        cells = np.concatenate([(each.T & side).T for side in sides], axis=1)
-        own = cells[:, cells.any(axis=0)].astype(np.float64)
-        return r.with_free(own[:, 2:], "curve")  # two are the bias and the scale
+    if (cells := free_cells(r, visits)) is not None:
+        return r.with_free(cells, "curve")
+    sides = _sides(r)
     enough = [count for count in MORE_KNOTS if len(r) >= POSES_A_KNOT * count * len(sides)]
     if not enough or len(np.unique(r.theta_deg)) <= max(enough) + 1:
         return None
@@ -276,6 +270,26 @@ def with_free_curve(r: Responses, visits: float = VISITS) -> Responses | None:
     columns = [(np.column_stack([np.ones(len(r)), curve]).T * side).T for side in sides]
     own = np.concatenate([columns[0][:, 1:], *columns[1:]], axis=1)  # one side has the bias itself
     return r.with_free(own, "curve")
+
+
+def free_cells(r: Responses, visits: float = VISITS) -> FloatArray | None:
+    """Return (n, p) a column for each of a few places and its side; None unless each is visited so often.
+
+    Two are left out, which bias and scale stand for.
+    """
+    sides = _sides(r)
+    places = few_places(r.theta_deg, visits * len(sides))
+    if places is None:
+        return None
+    each = places[:, None] == np.arange(places.max() + 1)
+    cells = np.concatenate([(each.T & side).T for side in sides], axis=1)
+    return cells[:, cells.any(axis=0)][:, 2:].astype(np.float64)
+
+
+def _sides(r: Responses) -> list[BoolArray]:
+    if r.approach is not None and len(np.unique(r.approach[r.approach != 0.0])) > 1:
+        return [r.approach > 0.0, r.approach <= 0.0]
+    return [np.ones(len(r), dtype=bool)]
 
 
 def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:

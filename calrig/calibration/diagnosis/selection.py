@@ -29,7 +29,7 @@ from calrig.calibration.diagnosis.candidates import (
     term_alike,
 )
 from calrig.calibration.diagnosis.families import with_families
-from calrig.calibration.diagnosis.lack_of_fit import leaves_more, with_free_curve
+from calrig.calibration.diagnosis.lack_of_fit import free_cells, leaves_more, with_free_curve
 from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import (
@@ -55,7 +55,7 @@ from calrig.calibration.diagnosis.significance_test import (
     gate,
     model_of,
 )
-from calrig.calibration.effects.unnamed import TIMES, UNSTEADY, VISITS, few_places
+from calrig.calibration.effects.unnamed import TIMES, UNSTEADY, VISITS
 from calrig.calibration.regression.effect import APPROACH, ELEVATION
 from calrig.calibration.regression.noise_model import STRONG_RHO, Fit, NoiseModel, distance_of, fit, noise_of
 from calrig.calibration.regression.responses import Responses
@@ -312,7 +312,7 @@ def _search_one_run(
     poses; with too few poses for a free curve, the first one.
     """
     at_first = partial(judge, level=AT_FIRST * LEVEL)
-    is_few = rivals is None and few_places(r.theta_deg) is not None
+    is_few = rivals is None and free_cells(r) is not None
     if is_few or (
         rivals is not None and rivals.beside_curve
     ):  # at a level that the draws of a fold can reach
