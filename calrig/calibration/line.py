@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.correlated_errors import covariance_over_correlations
-from calrig.estimation.angles import FloatArray, robust_std, wrap_deg
+from calrig.estimation.angles import BoolArray, FloatArray, Intp, robust_std, wrap_deg
 
 MIN_SCALE = 1e-6
 """A smaller one says that the reading does not follow the stage: there is nothing to divide by."""
@@ -74,9 +74,7 @@ class Line:
         return residuals_deg(theta_deg, reading_deg, self.bias_deg, self.scale)
 
 
-def follows_stage(
-    scale: npt.ArrayLike, scale_std: npt.ArrayLike, left_deg: npt.ArrayLike
-) -> npt.NDArray[np.bool_]:
+def follows_stage(scale: npt.ArrayLike, scale_std: npt.ArrayLike, left_deg: npt.ArrayLike) -> BoolArray:
     """Whether readings of these fitted scales, which leave so much (RMS), follow the stage."""
     size = np.abs(scale)
     may_be_noise = size < np.minimum(HALF, np.multiply(STDS, scale_std))
@@ -175,12 +173,12 @@ def bias_on_turn_deg(
     return np.where(is_on_one & is_beyond, bias_deg, wrap_deg(bias_deg))
 
 
-def _go_on(reading_deg: FloatArray, usual: npt.NDArray[np.bool_]) -> bool:
+def _go_on(reading_deg: FloatArray, usual: BoolArray) -> bool:
     """Return whether nearly all (n,) readings are on their usual turn, and span more than a turn there."""
     return bool(usual.mean() >= 1.0 - GROSS_SHARE and np.ptp(reading_deg[usual]) > TURN_DEG)
 
 
-def _strays(left_deg: FloatArray, usual: npt.NDArray[np.bool_]) -> bool:
+def _strays(left_deg: FloatArray, usual: BoolArray) -> bool:
     """Return whether readings of another turn, once on the usual one, are still not where the others are."""
     middle_deg, spread_deg = np.median(left_deg[usual]), robust_std(left_deg[usual])
     away_deg = np.median(np.abs(left_deg[~usual] - middle_deg))
@@ -220,7 +218,7 @@ def off_robust_line_deg(theta_deg: FloatArray, value_deg: FloatArray) -> FloatAr
     return np.asarray(left_deg - np.median(left_deg))
 
 
-def strays(theta_deg: FloatArray, reading_deg: FloatArray, left_deg: FloatArray) -> npt.NDArray[np.intp]:
+def strays(theta_deg: FloatArray, reading_deg: FloatArray, left_deg: FloatArray) -> Intp:
     """Return the poses that are far from the line of the others, alone in time and at their angle.
 
     None of fewer than `FEWEST_SPREAD`; none where more than `GROSS_SHARE` are far: the model is wrong then.
@@ -236,11 +234,14 @@ def strays(theta_deg: FloatArray, reading_deg: FloatArray, left_deg: FloatArray)
     steps_deg = np.diff(np.unique(reading_deg))
     spread_deg = max(robust_std(off_deg), steps_deg[steps_deg > EXACT_DEG].min(initial=TURN_DEG))
     far = np.abs(off_deg) > FAR * spread_deg
+    if far.mean() > GROSS_SHARE:
+        return np.empty(0, dtype=np.intp)
     beside = np.convolve(far, [1, 0, 1])[1:-1] > 0
     beside[0] |= far[0]  # where play is taken up
-    again = np.abs(theta_deg[:, None] - theta_deg[far]) <= np.median(np.abs(np.diff(theta_deg)))
-    alone = far & ~beside & (again.sum(axis=1) == 1)
-    return np.flatnonzero(alone if far.mean() <= GROSS_SHARE else [])
+    near_deg, others_deg = np.median(np.abs(np.diff(theta_deg))), np.sort(theta_deg[far])
+    first = np.searchsorted(others_deg, theta_deg - near_deg, "left")
+    last = np.searchsorted(others_deg, theta_deg + near_deg, "right")
+    return np.flatnonzero(far & ~beside & (last - first == 1))
 
 
 def _on_one_turn(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:

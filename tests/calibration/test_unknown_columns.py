@@ -175,3 +175,15 @@ def test_every_form_of_a_column_is_rebuilt_in_other_poses():
             again = rebuilt(candidate, fewer)
             assert again is not None
             assert (again.label, again.shape.form) == (candidate.label, candidate.shape.form)
+
+
+@pytest.mark.parametrize("alone_deg", [0.0, 0.3])
+def test_a_column_that_changes_the_scale_is_found_with_its_bias_and_without(alone_deg):
+    rng = np.random.default_rng(9)
+    supply_v = rng.uniform(-1.0, 1.0, N)
+    at_deg = np.array([pose.target_deg for pose in run_with(0.0)])
+    names, _ = found_in(run_with(alone_deg * supply_v + 0.006 * at_deg * supply_v, supply_v=supply_v))
+    followed = {covariate for _, covariate, _ in names}
+    assert "target_deg·supply_v" in followed
+    assert "supply_v" in followed or not alone_deg
+    assert followed <= {"target_deg·supply_v", "supply_v"}

@@ -312,10 +312,8 @@ def _search_one_run(
     poses; with too few poses for a free curve, the first one.
     """
     at_first = partial(judge, level=AT_FIRST * LEVEL)
-    is_few = rivals is None and free_cells(r) is not None
-    if is_few or (
-        rivals is not None and rivals.beside_curve
-    ):  # at a level that the draws of a fold can reach
+    is_beside = free_cells(r) is not None if rivals is None else rivals.beside_curve
+    if is_beside:  # at a level that the draws of a fold can reach
         again = _beside_free_curve(r, candidates, at_first, rivals, noises)
         if again is not None:
             return again

@@ -14,7 +14,6 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from calrig.calibration.effects.stage_periodic import TURN_DEG, spacing_deg, steps_of
 from calrig.calibration.regression.channels import ANGLE, MOVE, READING
@@ -48,7 +47,7 @@ from calrig.calibration.regression.terms import (
     turns,
 )
 from calrig.estimation.angle_text import number_text
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, Intp
 
 UNITS = {
     "deg": "°",
@@ -170,8 +169,11 @@ def delayed(r: Responses, name: str, lag_s: float) -> FloatArray | None:
     return behind
 
 
-def products(r: Responses) -> Iterator[tuple[str, tuple[str, str], FloatArray]]:
-    """Name, factors and (n, p) columns of products of two columns; one may be temperature or elevation."""
+def products(r: Responses) -> Iterator[tuple[str, tuple[str, ...], FloatArray]]:
+    """Name, factors to be in the model before, and (n, p) columns of products of two columns.
+
+    One may be the temperature, or the elevation, whose scale is in every model.
+    """
     known = {"temperature_c": r.temperature_c, "target_deg": r.theta_deg}
     factors = {name: column for name, column in known.items() if column is not None and np.ptp(column) > 0.0}
     factors.update(r.covariates)
@@ -180,7 +182,8 @@ def products(r: Responses) -> Iterator[tuple[str, tuple[str, str], FloatArray]]:
     for one, other in combinations(factors, 2):
         if one in r.covariates or other in r.covariates:
             a, b = _as_factor(one, factors), _as_factor(other, factors)
-            yield f"{one}{TIMES}{other}", (one, other), (a[:, :, None] * b[:, None, :]).reshape(len(r), -1)
+            factors_before = () if "target_deg" in (one, other) else (one, other)
+            yield f"{one}{TIMES}{other}", factors_before, (a[:, :, None] * b[:, None, :]).reshape(len(r), -1)
 
 
 def _as_factor(name: str, columns: Mapping[str, FloatArray]) -> FloatArray:
@@ -396,7 +399,7 @@ def _through_each_place(z: FloatArray) -> NaturalSplines | None:
     return NaturalSplines(float(at[0]), float(np.ptp(at)), (at - at[0]) / np.ptp(at))
 
 
-def few_places(z: FloatArray, visits: float = VISITS) -> npt.NDArray[np.intp] | None:
+def few_places(z: FloatArray, visits: float = VISITS) -> Intp | None:
     """Return (n,) which of a few places each pose is at; None unless they are apart and visited so often.
 
     So are those of ISO 230-2 (2014, section 5.3.2): five or more, each visited five times from a side.
