@@ -397,6 +397,7 @@ _JSON = re.compile(rb"""\s*(\{|\[\s*([\[{"\d-]|\Z))""")
 _NO_TABLES = {
     _JSON: "JSON, not a table: write the names of the columns, then a row each",
     re.compile(rb"PK\x03\x04|\xD0\xCF\x11\xE0"): "a workbook or an archive, not text: save the table as CSV",
+    re.compile(rb"MATLAB \d|\x89HDF"): "a file of MATLAB or HDF5, not text: save the table as CSV",
 }
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 

@@ -206,6 +206,7 @@ def test_rows_whose_time_is_partly_unknown_stay_where_they_are_with_a_warning():
         (b"Bench 3\ntilt_deg,reading_deg\n\n1,2\n", 1, "target_deg", "the names are in line 2"),
         (b"Run;7;\n\nGroup;Count;Time;\n\nName;pos;vel\nUnit;a;b\n0;1;2\n", 1, "target_deg", "in line 5"),
         (b"PK\x03\x04\x14\x00\x06\x00[Content_Types].xml", 1, None, "is a workbook or an archive"),
+        (b"MATLAB 5.0 MAT-file, Platform\0\xff", 1, None, "is a file of MATLAB or HDF5"),
         (b"0.0,-1.1,0,0\n0.1,-1.2,0,0\n", 1, "0", "the column names must come before it"),
         (b"Winkel;Anzeige\n1,5;2,5\n", 1, "target_deg", "there are: Winkel, Anzeige (calrig"),
         (b"tilt,meter\n1,2\n1,2,3\n", 1, "target_deg", "there are: tilt, meter (calrig"),
