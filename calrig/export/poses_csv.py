@@ -139,12 +139,11 @@ def read_labelled_columns(
         columns, texts, report = _columns_of(data, labels, unknown, progress)
         angles, readings = (next(c.cells for c in columns if c.name == name) for name in REQUIRED)
         is_whole = [not math.isnan(angle + reading) for angle, reading in zip(angles, readings, strict=True)]
-        lacking = is_whole.count(False)
-        if lacking <= FEW * len(is_whole):
+        lacking, warnings = is_whole.count(False), []
+        if 0 < lacking <= FEW * len(is_whole):
+            said = f"{lacking} of {len(is_whole)} rows lack {' or '.join(REQUIRED)} and are left out"
+            warnings.append(f"{said}, the first in line {unknown.first_fault.line}")
             unknown.forgive()
-    warnings: list[str] = []
-    if lacking:
-        warnings.append(f"{lacking} of {len(is_whole)} rows lack {' or '.join(REQUIRED)} and are left out")
     kept = {}
     for place, column in enumerate(columns):
         if column.name in texts:

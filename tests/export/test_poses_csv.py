@@ -307,7 +307,7 @@ def test_few_rows_without_a_reading_are_left_out_and_counted_and_more_are_refuse
     assert poses.cells("target_deg") == kept
     assert poses.cells("load_kg") == [2.0 * k for k in kept]
     assert texts["mount"].texts == [f"m{k}" for k in kept]
-    assert said == ["3 of 40 rows lack target_deg or reading_deg and are left out"]
+    assert said == ["3 of 40 rows lack target_deg or reading_deg and are left out, the first in line 5"]
 
     rows[4:6] = ["4,,m4,8", "5,,m5,10"]
     text = "\n".join(["target_deg,reading_deg,mount,load_kg", *rows])
