@@ -219,9 +219,9 @@ class Records:
         return refitted(self._store, run, left).to_dict()
 
     def _done(self, run: Run, who: str | None, why: str) -> Run:
-        """The run; the next draft of its unit is made where it rests on what has been done."""
+        """The run, with the doubts of its unit's next draft, made where that rests on what has been done."""
         self._issuer.redraft(run, by=who, reason=why)
-        return run
+        return stored_run(self._store, run.id)
 
 
 def _chain(run_id: str, of_unit: Sequence[Run]) -> list[str]:

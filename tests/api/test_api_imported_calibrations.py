@@ -101,6 +101,17 @@ def test_an_excluded_pose_leaves_the_reference(client):
     assert newest(client, "IM-excluded")["expanded_uncertainty_deg"] > STD_DEG
 
 
+def test_a_reading_that_lost_a_digit_keeps_a_draft_until_it_is_excluded(client):
+    lines = poses().splitlines()
+    lines[6] = "-10,-90.9"
+    run = imported(client, "IM-digit", "\n".join(lines))
+    assert not run["verdict"]["reliable"]
+    assert "−90.9° at −10°" in newest(client, "IM-digit")["warnings"][0]
+    again = client.post(f"/api/runs/{run['id']}/poses/5/exclude", json={"reason": "a digit more"}).json()
+    assert again["verdict"]["reliable"]
+    assert (newest(client, "IM-digit")["revision"], newest(client, "IM-digit")["warnings"]) == (2, [])
+
+
 def test_an_import_is_released_certified_exported_and_applied(client, tmp_path):
     unit = "IM-whole"
     imported(client, unit, poses(), rig="bench-1")
