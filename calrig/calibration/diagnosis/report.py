@@ -309,7 +309,7 @@ def _why(found: SelectedEffect, label: str, behind: float) -> str:
     if label in rivals:
         worse = "explains these poses worse, but poses taken like these cannot rule it out"
         return doubts.get(label, worse if behind >= MARGIN else "indistinguishable from it by these poses")
-    if behind < MARGIN and label.startswith(UNNAMED):
+    if behind < MARGIN and label.startswith(UNNAMED) and found.candidate.named:
         return "fits as well, but a cause with a name goes first"
     if behind > FAR_BEHIND:
         return "explains these poses far worse"
