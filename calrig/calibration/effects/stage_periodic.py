@@ -151,8 +151,6 @@ APART = 0.75
 """Of a resolution: two waves closer than that are one, and cancel each other where both are fitted."""
 ALIKE_POWER, MOST_ALIKE = 0.4, 12
 """Of the spectral window: where two periods may be taken for one."""
-SURELY_SHORTER = 2.0
-"""Steps in the shortest period that an alias is searched for to, where no such alias is within it."""
 ROUNDING = 1e-6
 """Of a frequency: so near its bound it is on it."""
 SURE = 2.0
@@ -304,18 +302,19 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
             names,
             at={"period_deg": period_deg},
             scanned=True,
-            says=_shorter_alias(r, period_deg).removeprefix("; "),
+            says=_shorter_alias(r, period_deg),
             at_elevation=at_elevation,
         )
         return
     is_scanned = at["order"] not in _known_orders(r)
+    said = [f"order {at['order']:g} of the turn", _shorter_alias(r, period_deg) if is_scanned else ""]
     yield Shape(
         shares,
         names,
         form="order of the turn",
         at={"period_deg": period_deg, "order": at["order"]},
         scanned=is_scanned,
-        says=f"order {at['order']:g} of the turn{_shorter_alias(r, period_deg) if is_scanned else ''}",
+        says="; ".join(filter(None, said)),
         series=THE_TURN,
         at_elevation=at_elevation,
     )
@@ -368,10 +367,10 @@ def _look_alikes(r: Responses, shape: Shape) -> Iterator[Parameters]:
 def _shorter_alias(r: Responses, period_deg: float) -> str:
     """Say which period under two steps looks the same at even poses too close for one to be searched for."""
     step = spacing_deg(r.theta_deg)
-    if step is None or step * SURELY_SHORTER > SHORTEST_PERIOD_DEG or period_deg < 2.0 * step:
+    if step is None or not 2.0 * step <= min(SHORTEST_PERIOD_DEG, period_deg):
         return ""
     alias_deg = 1.0 / (1.0 / step - 1.0 / period_deg)
-    return f"; poses {step:.4g}° apart would show a period of {alias_deg:.4g}° as the same"
+    return f"poses {step:.4g}° apart would show a period of {alias_deg:.4g}° as the same"
 
 
 def _resolved(r: Responses, shape: Shape) -> float:

@@ -413,8 +413,7 @@ def few_places(z: FloatArray, visits: float = VISITS) -> Intp | None:
     if max(np.ptp(z[group]) for group in groups) > near:
         return None
     places = np.empty(len(z), dtype=np.intp)
-    for place, group in enumerate(groups):
-        places[group] = place
+    places[order] = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
     return places
 
 
