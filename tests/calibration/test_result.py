@@ -294,6 +294,8 @@ def test_a_reading_that_lost_a_digit_is_named_and_keeps_the_calibration_a_draft(
     (doubt,) = pose_doubts(build_result(poses), 0)
     assert doubt.kind == "far_poses"
     assert f"{poses[30].reading_deg:g}° at {poses[30].target_deg:g}°".replace("-", "−") in doubt.says
+    verified = apply_calibration(poses, None, build_result(poses[:30]).line, [])
+    assert pose_doubts(verified, 0) == []  # it fits nothing that would follow the pose
 
 
 @pytest.mark.parametrize(

@@ -205,6 +205,7 @@ def apply_calibration(
             ),
             "line": line,
             "reference_says": RELATIVE if clamped_anew else None,
+            "far_says": None,  # nothing follows a pose
         }
     )
 
