@@ -330,9 +330,26 @@ def test_only_comments_are_left_out(text, n_poses):
     assert len(read_run(text.encode(), "A")[0]) == n_poses
 
 
-def test_a_log_names_the_nearest_channel_where_it_has_none():
-    with pytest.raises(CsvError, match=r"acel_y_g \(did you mean accel_y_g\?\)"):
-        read_static(b"acel_x_g,acel_y_g\n1,2\n")
+@pytest.mark.parametrize(
+    ("names", "meant"),
+    [
+        ("acel_x_g,acel_y_g", "acel_y_g (did you mean accel_y_g?)"),
+        ("ax_g,ay_g", "ay_g (did you mean accel_y_g?)"),
+        ("Acc X,Acc Y", "Acc Y (did you mean accel_y_g, in g?)"),
+        ("GX,GY", "GY (did you mean gyro_y_dps, in deg/s?)"),
+        ("x (g),y (g)", "y (g) (did you mean accel_y_g, in g?)"),
+    ],
+)
+def test_a_log_names_the_nearest_channel_where_it_has_none(names, meant):
+    with pytest.raises(CsvError) as refused:
+        read_static(f"{names}\n1,2\n".encode())
+    assert meant in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["x", "y (mm)", "axle", "tilt_x", "index"])
+def test_a_name_that_only_shares_a_letter_with_a_channel_asks_nothing(name):
+    _, _, said, _ = read_run(f"target_deg,reading_deg,{name}\n1,2,20\n".encode(), "A")
+    assert said == []
 
 
 def test_a_name_like_a_known_one_over_words_is_a_column_of_words():
