@@ -162,6 +162,8 @@ def _attribute(column: str) -> str:
 
 SAME = 1.0 - 1e-6
 """Columns correlated beyond this are one column."""
+ERROR, ROUNDED_TO = "the reading less the elevation", 0.05
+"""What loggers write beside these, with either sign or none; and to what share of its range it is rounded."""
 FOLLOWS, MOST_OFF_DEG = 0.999, 90.0
 """Correlation beyond which a column is another measurement of the elevation, counted on over turns: as an
 influence quantity it would take the place of the scale. Of an angle it is within so much of the elevation.
@@ -228,6 +230,7 @@ def covariates_of(
         "the order of the poses": np.arange(len(poses), dtype=float),
         "the elevation": theta,
         "the reading": reading,
+        ERROR: reading_error_deg(theta, reading),
     }
     for known in ("time_s", "temperature_c", "accel_y_g", "accel_z_g", "gyro_move_deg", "accel_x_g"):
         column = column_of(poses, known)
@@ -244,6 +247,9 @@ def covariates_of(
         if np.ptp(column) == 0.0:
             continue
         twin = next((other for other, known in taken.items() if same(column, known)), None)
+        off_deg = np.abs(column) - np.abs(taken[ERROR])
+        if twin is None and np.abs(off_deg).max() <= ROUNDED_TO * np.ptp(taken[ERROR]):
+            twin = ERROR
         if twin is not None:
             warnings.append(f"column {name} says the same as {twin}: it was not used")
             continue

@@ -94,6 +94,49 @@ def test_a_periodic_error_of_another_phase_each_way_is_a_mean_and_a_difference(a
     assert found["final"]["held_out_rms_deg"] == pytest.approx(0.02, rel=0.2)
 
 
+@pytest.mark.parametrize("shift", one_now([0.55, 0.5]))
+def test_a_difference_by_direction_on_two_grids_is_no_short_period(shift):
+    """Each way 5° apart: between the two grids, a wave of 2.52° or 5.07° takes the values of one of 360°."""
+    rng = np.random.default_rng(1)
+    up_deg, down_deg = np.arange(0.0, 360.0, 5.0), np.arange(360.0 - 5.0 * shift, 0.0, -5.0)
+    theta_deg = np.concatenate([up_deg, down_deg])
+    way = np.concatenate([np.ones(len(up_deg)), -np.ones(len(down_deg))])
+    once_deg, twice_deg = (
+        0.05 * np.cos(np.radians(theta_deg) + 0.5),
+        0.5 * np.sin(np.radians(2.0 * theta_deg)),
+    )
+    reading_deg = theta_deg + twice_deg + way * once_deg + 0.003 * rng.standard_normal(len(theta_deg))
+    poses = posed(
+        target_deg=theta_deg, reading_deg=reading_deg, approach=way, time_s=5.0 * np.arange(len(way))
+    )
+    found = trace([poses], ["1"], request=DiagnosisRequest("good"))
+    twice, difference = found["effects"]
+    assert (twice["name"], twice["parameters"]["period_deg"]["value"]) == ("stage_periodic", 180.0)
+    assert difference["covariate"] == "approach·target_deg"
+    assert difference["parameters"]["period"]["value"] == 360.0
+    assert difference["parameters"]["size_deg"]["value"] == pytest.approx(0.1, abs=0.004)
+    assert found["final"]["held_out_rms_deg"] < 1.2 * 0.003
+
+
+def test_a_wavy_difference_by_direction_is_found_beside_a_wavy_curve():
+    """Residuals of both follow each other from pose to pose, as slow noise does."""
+    rng = np.random.default_rng(2)
+    up_deg = np.arange(90.0, 273.5)
+    theta_deg = np.concatenate([up_deg, up_deg[::-1]]) + rng.normal(0.0, 0.2, 368)
+    way, angle = np.repeat([1.0, -1.0], 184), np.radians(theta_deg)
+    curve_deg = sum(
+        a * np.cos(k * angle + p) for k, a, p in [(1, 1.5, 0.3), (2, 1, 1), (3, 0.6, 2), (5, 0.5, 0.4)]
+    )
+    half_deg = 0.2 * (1.0 + np.cos(2.0 * angle + 1.0) + np.cos(4.0 * angle + 2.0) + np.cos(7.0 * angle))
+    reading_deg = theta_deg + curve_deg + way * half_deg + rng.normal(0.0, 0.03, 368)
+    poses = posed(target_deg=theta_deg, reading_deg=reading_deg, approach=way)
+    found = trace([poses], ["1"], request=DiagnosisRequest("good"))
+    (play,) = [e for e in found["effects"] if e["name"] == "backlash"]
+    assert play["parameters"]["backlash_deg"]["value"] == pytest.approx(0.4, abs=0.03)
+    assert found["final"]["held_out_rms_deg"] < 1.2 * 0.03
+    assert found["final"]["blocked_rms_deg"] < found["base"]["blocked_rms_deg"]
+
+
 def test_a_stage_that_was_asked_for_no_step_came_as_it_did_before():
     theta_deg = np.array([0.0, 10.0, 10.0001, 20.0, 19.9999, 10.0, 10.0, 20.0])
     poses = posed(target_deg=theta_deg, reading_deg=theta_deg, time_s=4.0 * np.arange(8))

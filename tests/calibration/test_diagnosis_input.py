@@ -247,6 +247,17 @@ def test_of_two_identical_columns_one_is_accused_and_the_other_said_to_be_the_sa
     assert any("supply_mv says the same as supply_v" in warning for warning in said["warnings"])
 
 
+@pytest.mark.parametrize(
+    "of_error", [lambda e: e, lambda e: -e, lambda e: np.round(e, 2), np.abs, lambda e: e / 3.6]
+)
+def test_a_column_of_errors_that_a_logger_wrote_is_no_cause(of_error) -> None:
+    poses = run_of(sweeps())
+    errors_deg = np.array([p.reading_deg - p.target_deg for p in poses])
+    said = told(with_column(poses, "error", of_error(errors_deg)))
+    assert any("error says the same as the reading less the elevation" in said_ for said_ in said["warnings"])
+    assert all(e["covariate"] != "error" for e in said["effects"])
+
+
 def test_a_reading_in_radians_is_refused_with_what_to_do() -> None:
     poses = [replace(p, reading_deg=math.radians(p.reading_deg)) for p in run_of(sweeps())]
     with pytest.raises(DiagnosisError, match="radians; convert reading_deg"):

@@ -9,6 +9,7 @@ be all that separates settling from backlash.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -26,10 +27,11 @@ from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
-from calrig.calibration.effects.unnamed import AT_EACH_PLACE
+from calrig.calibration.effects.unnamed import AT_EACH_PLACE, TIMES
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
+from calrig.calibration.regression.effect import APPROACH
 from calrig.calibration.regression.noise_model import LARGEST_RHO, Fit, distance_of, fit, lag1_correlation
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.run_changes import with_free_levels
@@ -292,6 +294,8 @@ ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
 WAVY, FORESEEN = 2 * BLOCKS, 0.03
 """Columns of curves that may be a wave within one block; of the size of a part, what the others must show."""
+BY_SIDE = f"{APPROACH.name}{TIMES}"
+"""Begins the name of what changes sign with the approach."""
 KEPT = 16
 """Models whose errors may be asked for again: with all effects, and without each."""
 Intp = npt.NDArray[np.intp]
@@ -408,26 +412,32 @@ def _foreseen(r: Responses, shown: Sequence[Candidate], train: Intp) -> list[Can
     A spline would fly off there, and so would many waves together: in a gap of a quarter of a turn, orders 1
     to 11 whose amplitudes are right to 0.003° make 74°.
     """
-    wavy: dict[object, list[Candidate]] = {}
+    wavy: dict[tuple[bool, str, bool], list[Candidate]] = {}
+    n_columns: Counter[str] = Counter()
     for c in shown:
         is_linear = c.effect.on_vector_g is None and c.effect.not_linear is None
         if is_linear and c.beside is None and c.changed is None:
-            wavy.setdefault((c.covariate, c.shape.at_elevation is None), []).append(c)
+            column = c.covariate.removeprefix(BY_SIDE)
+            wavy.setdefault((column != c.covariate, column, c.shape.at_elevation is None), []).append(c)
+            n_columns[column] += c.columns.shape[2]
     foreseen, line = list(shown), _flat(model_columns(r, ())[train])
-    for those in wavy.values():
+    for (is_by_side, column, _), those in sorted(wavy.items(), key=lambda item: item[0][0]):
         is_free = any(c.shape.form == AT_EACH_PLACE for c in those)  # at places that a block leaves none of
-        if is_free or sum(c.columns.shape[2] for c in those) >= WAVY:
-            foreseen = [*(c for c in foreseen if c not in those), _as_far_as_shown(those, train, line)]
+        if is_free or n_columns[column] >= WAVY:
+            others = [c for c in foreseen if c not in those]
+            # poses of one side show no more than the sum of a curve and of what changes sign with the side
+            beside = _flat(model_columns(r, others)[train]) if is_by_side else line
+            foreseen = [*others, _as_far_as_shown(those, train, beside)]
     return foreseen
 
 
-def _as_far_as_shown(those: Sequence[Candidate], train: Intp, line: FloatArray) -> Candidate:
-    """Return several curves as one of what some poses show of them beside bias and scale."""
+def _as_far_as_shown(those: Sequence[Candidate], train: Intp, beside: FloatArray) -> Candidate:
+    """Return several curves as one of what some poses show of them beside other columns (m, p)."""
     columns = np.concatenate([c.columns for c in those], axis=2)
     whole, _ = np.linalg.qr(_flat(columns))
     directions = whole.reshape(columns.shape)
     own = _flat(directions[train])
-    left = own - line @ np.linalg.lstsq(line, own, rcond=None)[0]
+    left = own - beside @ np.linalg.lstsq(beside, own, rcond=None)[0]
     _, seen, turn = np.linalg.svd(left, full_matrices=False)
     kept = turn[seen > FORESEEN].T
     shape = those[0].shape

@@ -93,12 +93,13 @@ class _Grid(NamedTuple):
     uneven_deg: float
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _grid(angles: bytes) -> _Grid | None:
     theta_deg = np.frombuffer(angles)
-    arc, places = float(np.ptp(theta_deg)), len(np.unique(theta_deg))
+    places = len(np.unique(theta_deg))
     if places < 3:
         return None
+    arc = float(np.ptp(theta_deg))
     even, _ = window_peaks(theta_deg, 1.5 * max(places / arc, 1.0 / SHORTEST_PERIOD_DEG), EVEN_POWER)
     if not len(even):
         return None
@@ -108,8 +109,19 @@ def _grid(angles: bytes) -> _Grid | None:
 
 
 def step_deg(r: Responses) -> float | None:
-    """Return the step of evenly spaced elevations, else that of evenly spaced readings; None without one."""
-    return spacing_deg(r.theta_deg) or spacing_deg(_reading_deg(r))
+    """Return the step of evenly spaced elevations, else that of evenly spaced readings; None without one.
+
+    Where each side comes to a grid of its own, it is the step of these.
+    """
+    of_all = spacing_deg(r.theta_deg)
+    return max(of_all or 0.0, _step_of_sides(r)) or spacing_deg(_reading_deg(r))
+
+
+@lru_cache(maxsize=8)
+def _step_of_sides(r: Responses) -> float:
+    """Return the narrower step where the elevations from either side are evenly spaced; else 0."""
+    sides = [] if r.approach is None else [r.theta_deg[r.approach == side] for side in (-1.0, 1.0)]
+    return min((spacing_deg(theta_deg) or 0.0 for theta_deg in sides), default=0.0)
 
 
 def _reading_deg(r: Responses) -> FloatArray:
@@ -223,6 +235,7 @@ def _carried(r: Responses, shape: Shape) -> bool:
     A period beyond the arc is a curve, and so is one of which poses of many turns show less than half. Evenly
     spaced poses show waves near twice the spacing, or near a part of it, as one that alternates or drifts:
     amplitude and phase are one number there. Evenly spaced readings show none of less than twice the spacing.
+    Nor do two sides that come to a grid each: on each it is a longer wave, as what comes with direction is.
     """
     frequency, arc = 1.0 / shape.at.get("period_deg", TURN_DEG), r.arc_deg
     if frequency * (1.0 + ROUNDING) < max(1.0 / TURN_DEG, 1.0 / arc):
@@ -232,7 +245,9 @@ def _carried(r: Responses, shape: Shape) -> bool:
     step = step_deg(r)
     if step is None:
         return not _is_curve_within_strokes(r, frequency)
-    if 2.0 * step * frequency > 1.0 and _is_by_readings(r):
+    is_told_by_sides = _step_of_sides(r) == step and spacing_deg(r.theta_deg) != step
+    is_known = shape.at.get("of_deg") in r.known_periods_deg
+    if 2.0 * step * frequency > 1.0 and (_is_by_readings(r) or (is_told_by_sides and not is_known)):
         return False
     halves = max(1.0, round(2.0 * step * frequency)) / (2.0 * step)
     return abs(frequency - halves) * (1.0 + ROUNDING) >= 1.0 / arc

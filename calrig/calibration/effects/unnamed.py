@@ -40,6 +40,7 @@ from calrig.calibration.regression.spline import (
 from calrig.calibration.regression.terms import (
     amplitude_and_phase,
     covered,
+    goes_round,
     is_time_elevation,
     size_deg,
     tilted,
@@ -241,7 +242,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     """Return every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
     if turns(r):
         yield from _of_elevation(r)
-        for period_deg in [at["period"]] if "period" in at else r.known_periods_deg:
+        of_turn = [TURN_DEG] if goes_round(r) else []
+        for period_deg in [at["period"]] if "period" in at else [*r.known_periods_deg, *of_turn]:
             yield from waves_by_side(r, period_deg)
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
         yield from _of_one(r.temperature_c, "temperature_c", tilted)
@@ -266,15 +268,16 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 def _of_elevation(r: Responses) -> Iterator[Shape]:
     """Curves of the elevation, the same or not from both sides, and those that the stage itself makes."""
     yield from _of_one(r.theta_deg, "target_deg", tilted, has_knots=r.reference_is_good)
-    for count in MORE_KNOTS:
-        if len(r) >= POSES_A_KNOT * count and _places(r.theta_deg) > count + 1:
-            yield _smooth(r.theta_deg, count, "target_deg", tilted, has_knots=r.reference_is_good)
+    places = _places(r.theta_deg)
+    more = [count for count in MORE_KNOTS if len(r) >= POSES_A_KNOT * count and places > count + 1]
+    for count in more:
+        yield _smooth(r.theta_deg, count, "target_deg", tilted, has_knots=r.reference_is_good)
     if (each := _through_each_place(r.theta_deg)) is not None:
         shape = _of_function(each, r.theta_deg, "target_deg", AT_EACH_PLACE, tilted)
         says = f"as measured at {len(each.knots)} angles; between them it is drawn smoothly, and not measured"
         yield replace(shape, says=says, knots=tuple(each.at.tolist()) if r.reference_is_good else ())
     if r.approach is not None and np.ptp(r.approach) > 0.0:  # play that is not the same everywhere
-        for count in KNOTS:
+        for count in (*KNOTS, *more):
             curve = natural_spline(r.theta_deg, count)
             by_side = ((curve - curve.mean(axis=0)).T * r.approach).T  # backlash beside it is the mean
             shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
