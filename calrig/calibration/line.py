@@ -190,6 +190,11 @@ def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | No
 
     Targets from −30° to 30° may be written as 330° to 360° and 0° to 30°: they leave a hole, and the readings
     follow a line with the circle cut there. Those of an axis that did turn to 330° follow it as written.
+    Where readings do not decide, the rows do: an axis that goes on from 358° to 2° has turned by 4°.
+
+    Args:
+        target_deg: (n,) in the order of the rows.
+        reading_deg: (n,) beside them.
     """
     known = np.unique(target_deg)
     span_deg = known[-1] - known[0] if len(known) else 0.0
@@ -198,12 +203,21 @@ def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | No
     hole = int(np.argmax(np.diff(known)))
     if known[hole + 1] - known[hole] < HOLE_DEG:
         return None
+    cut_deg = target_deg - TURN_DEG * (target_deg > known[hole])
     as_written, cut = (
         np.sum(np.square(error - np.polyval(np.polyfit(theta, error, 1), theta))) + EXACT_DEG**2
-        for theta in (target_deg, target_deg - TURN_DEG * (target_deg > known[hole]))
+        for theta in (target_deg, cut_deg)
         for error in [reading_error_deg(theta, reading_deg)]
     )
-    return float(known[hole]) if len(target_deg) * math.log(as_written / cut) > DECISIVE else None
+    better = len(target_deg) * math.log(as_written / cut)
+    steps_deg, cut_steps_deg = np.abs(np.diff(target_deg)), np.abs(np.diff(cut_deg))
+    is_over, is_usual = steps_deg > HALF_TURN_DEG, (steps_deg > 0.0) & (steps_deg <= HALF_TURN_DEG)
+    goes_on = (
+        is_over.any()
+        and is_usual.any()
+        and cut_steps_deg[is_over].min() <= 2.0 * float(np.median(steps_deg[is_usual])) <= HOLE_DEG
+    )
+    return float(known[hole]) if better > (-DECISIVE if goes_on else DECISIVE) else None
 
 
 def off_robust_line_deg(theta_deg: FloatArray, value_deg: FloatArray) -> FloatArray:

@@ -94,7 +94,7 @@ def _on_one_arc(target_deg: FloatArray, reading_deg: FloatArray) -> tuple[FloatA
     above_deg = cut_above_deg(target_deg, reading_deg)
     if above_deg is None:
         return target_deg, []
-    said = f"targets above {above_deg:g}° were taken as less by 360°: the readings follow a line there"
+    said = f"targets above {above_deg:g}° were taken as less by 360°: readings or rows go on over 0° there"
     return target_deg - 360.0 * (target_deg > above_deg), [said]
 
 

@@ -74,6 +74,21 @@ def test_a_sensor_over_its_own_turn_has_its_orders_wherever_the_table_begins(fir
         assert abs(amplitude["value"] - amplitudes_deg.get(order, 0.0)) < 3.0 * amplitude["std"]
 
 
+@pytest.mark.parametrize("phase_deg", [200.0, 20.0, 110.0])
+def test_rounding_of_the_readings_is_no_period_of_the_axis(phase_deg):
+    """At even poses errors of whole counts are waves, each many standard errors large."""
+    there_deg = np.arange(0.0, 360.0, 5.0)
+    targets_deg = np.concatenate([there_deg, there_deg[::-1]])
+    count_deg = 360.0 / 512.0
+    once_deg = 0.8 * np.sin(np.radians(targets_deg + phase_deg))
+    readings_deg = count_deg * np.round((targets_deg + once_deg) / count_deg)
+    poses = posed(target_deg=targets_deg, reading_deg=readings_deg, time_s=3.0 * np.arange(144))
+    request = DiagnosisRequest("good")
+    found = document(diagnose([poses], request=request, bootstraps=199, cross_fit=False), ["a table"])
+    assert len(found["effects"]) == 1
+    assert found["effects"][0]["name"] != "stage_periodic"
+
+
 def turned_once(rng, *, over_deg=360.0):
     """Columns of 160 poses of an axis with order 4, its reading and its accelerometer of equal noise."""
     targets = rng.uniform(-over_deg / 2.0, over_deg / 2.0, 160)

@@ -344,6 +344,15 @@ def test_targets_written_from_0_to_360_around_0_are_taken_on_one_arc(reader):
     assert line.scale == pytest.approx(1.02, abs=0.001)
 
 
+def test_rows_that_go_on_over_0_are_of_one_arc_where_no_line_says_so():
+    """A scale of 1 and a drift of 2° leave readings as far from a line as written as with the circle cut."""
+    true_deg = np.tile(np.arange(-60.0, 61.0, 8.0), 3)
+    drift_deg = np.linspace(0.0, 2.0, len(true_deg))
+    poses, said = read_about_x(_table(true_deg % 360.0, (0.4 + true_deg + drift_deg) % 360.0))
+    assert [pose.target_deg for pose in poses] == true_deg.tolist()
+    assert any("targets above 60° were taken as less by 360°" in sentence for sentence in said)
+
+
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize(
     ("written_deg", "scale"),

@@ -22,9 +22,14 @@ from calrig.calibration.diagnosis.candidates import Candidate, model_columns, ow
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
 from calrig.calibration.diagnosis.ranking import SelectedEffect, decisive_pose
-from calrig.calibration.diagnosis.report import left_deg, slopes_of_errors, words_of
+from calrig.calibration.diagnosis.report import (
+    covariance_with_places,
+    left_deg,
+    slopes_of_errors,
+    words_of,
+)
 from calrig.calibration.diagnosis.reselection import Rivals
-from calrig.calibration.diagnosis.selection import Findings, search
+from calrig.calibration.diagnosis.selection import Findings, least_standard_errors, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.effects.unnamed import AT_EACH_PLACE, TIMES
@@ -339,7 +344,8 @@ def not_predictive(
 
     It fails where the blocks' error is smaller without it and its coefficients, from the rest of the poses,
     contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot predict,
-    the effect being true, contradicts nothing.
+    the effect being true, contradicts nothing. Nor is a name claimed alone whose size, by the errors that are
+    stated of it, is not as certain as one that enters: it differs from part to part of the run.
 
     Args:
         r: the poses.
@@ -348,13 +354,18 @@ def not_predictive(
         offered: candidates of these poses; a shape without a name among them becomes the rival.
     """
     accepted = tuple(f.candidate for f in found)
-    folds = _folds(r)
+    folds, model = _folds(r), fitted_model(r, accepted)
+    own = own_columns(model.columns, accepted)
+    stated = covariance_with_places(model, own)
 
     def judged(place: int, one: SelectedEffect) -> SelectedEffect:
         others = tuple(c for c in accepted if c is not one.candidate)
         rival = _nameless(one.candidate, offered) if one.candidate.named else None
         if rival is None:
             return one
+        at, least = own[place], least_standard_errors(one.candidate, others)
+        if distance_of(model.fitted.beta[at], stated[at, at]) < least**2:
+            return one.against(rival, f"its size is below {least:g} standard errors")
         for along, fold in folds.items():
             helps = rms(_errors(r, accepted, along)) < rms(_errors(r, others, along))
             if not helps and _contradicts(r, accepted, place, whole, fold):

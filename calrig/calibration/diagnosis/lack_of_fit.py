@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache, reduce
 from itertools import pairwise
 
 import numpy as np
@@ -37,6 +38,8 @@ WANDERS = 1.5
 SEVERAL = 2.0
 """Times the pure error: a residual as large is spoken of also where few poses let no test reject."""
 SAME_TARGET_DEG = 0.05
+SAME_READING_DEG, OF_A_STEP = 1e-9, 1e-3
+"""Readings closer than this are one but for arithmetic; to what share of the least step steps are printed."""
 FEWEST_FREEDOM = 8.0
 VON_NEUMANN_EFFICIENCY = 2.0 / 3.0
 """Of successive differences, as an estimate of variance, over the variance itself."""
@@ -302,3 +305,31 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
     differences = np.diff(beside)[~r.starts[1:]]
     noise_deg = np.hypot(np.sqrt(np.mean(differences**2) / 2.0), r.rounding[0])
     return bool(residual_deg.std() > SEVERAL * noise_deg)
+
+
+def is_of_rounding(r: Responses, residual_deg: FloatArray) -> bool:
+    """Return whether residuals (n,) are no larger than what rounding the readings leaves.
+
+    The errors of a reading to whole counts, ±q/2, have a mean square of q²/12 (GUM F.2.2.1). At even poses
+    they are waves themselves, of which each is certain, and none is of the axis.
+    """
+    step_deg = _step_of_readings_deg(r)
+    most = (1.0 + STANDARD_ERRORS / 2.0 * math.sqrt(0.8 / len(r))) * step_deg**2 / 12.0
+    return len(r.channels) == 1 and float(np.mean(residual_deg**2)) <= most
+
+
+@lru_cache(maxsize=8)
+def _step_of_readings_deg(r: Responses) -> float:
+    """Return the step that all readings are multiples of apart, next to none where they are not rounded."""
+    steps_deg = np.diff(np.unique(r.theta_deg + r.values[:, 0]))
+    steps_deg = steps_deg[steps_deg > SAME_READING_DEG]
+    least_deg = OF_A_STEP * float(steps_deg.min(initial=np.inf))
+
+    def in_both_deg(
+        one_deg: float, other_deg: float
+    ) -> float:  # Euclid's, to what a printed number is rounded to
+        while other_deg > least_deg:
+            one_deg, other_deg = other_deg, abs(one_deg - other_deg * round(one_deg / other_deg))
+        return one_deg
+
+    return reduce(in_both_deg, steps_deg.tolist(), 0.0)

@@ -29,7 +29,7 @@ from calrig.calibration.diagnosis.candidates import (
     term_alike,
 )
 from calrig.calibration.diagnosis.families import with_families
-from calrig.calibration.diagnosis.lack_of_fit import free_cells, leaves_more, with_free_curve
+from calrig.calibration.diagnosis.lack_of_fit import free_cells, is_of_rounding, leaves_more, with_free_curve
 from calrig.calibration.diagnosis.outliers import most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import COMPANION_MARGIN, SelectedEffect, named, pair
 from calrig.calibration.diagnosis.reselection import (
@@ -93,9 +93,14 @@ def is_practically_significant(r: Responses, accepted: Sequence[Candidate], step
     reaching = own[np.ptp(candidate.columns[:, 0, :], axis=0) > 0.0]
     beta, covariance = fitted.beta[reaching], fitted.covariance[np.ix_(reaching, reaching)]
     sure = float(np.sqrt(distance_of(beta, covariance)))
-    least = LEAST_OF_A_COMPANION if candidate.label in companions_of(accepted) else LEAST_STANDARD_ERRORS
+    least = least_standard_errors(candidate, accepted)
     helps = step.verdict != "named" or left_deg <= left_before_deg
     return part.std() >= LEAST_SHARE * left_deg and sure >= least and helps
+
+
+def least_standard_errors(candidate: Candidate, accepted: Sequence[Candidate]) -> float:
+    """Return how many standard errors an effect's size must have beside others."""
+    return LEAST_OF_A_COMPANION if candidate.label in companions_of(accepted) else LEAST_STANDARD_ERRORS
 
 
 def forward_step(
@@ -119,7 +124,7 @@ def forward_step(
         judged: tests the candidates in addition to a model.
         rivals: in a fold, the competing candidates of all poses; no other pairs are tried.
     """
-    if best.candidate.beside is None:
+    if best.candidate.beside is None and not _leaves_rounding(r, [*accepted, best.candidate]):
         shown = [k for k, c in enumerate(verdict.candidates) if rivals is None or c.label in rivals.labels]
         offered = [verdict.candidates[k] for k in shown]
         two = pair(r, accepted, offered, verdict.ratios[shown], best)
@@ -189,12 +194,23 @@ def _without_series(verdict: Verdict) -> tuple[list[Candidate], Float32Array]:
 def simplest(
     r: Responses, accepted: Sequence[Candidate], best: SelectedEffect, verdict: Verdict
 ) -> SelectedEffect:
-    """Return the best candidate; of several effects offered as one, a single one that explains as much."""
-    if best.candidate.beside is None or not _says_no_more(best, verdict.candidates):
-        return best
+    """Return the best candidate; of several effects offered as one, a single one that explains as much.
+
+    Or one that leaves no more than rounding does.
+    """
     single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
     offered = [verdict.candidates[k] for k in single]
+    if best.candidate.beside is None or not (
+        _says_no_more(best, verdict.candidates)
+        or _leaves_rounding(r, [*accepted, offered[int(np.argmax(verdict.ratios[single]))]])
+    ):
+        return best
     return named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
+
+
+def _leaves_rounding(r: Responses, accepted: Sequence[Candidate]) -> bool:
+    model = fitted_model(r, accepted)
+    return is_of_rounding(model.responses, model.fitted.residuals[:, 0])
 
 
 def _says_no_more(step: SelectedEffect, offered: Sequence[Candidate]) -> bool:
@@ -468,6 +484,7 @@ def _search(
         if not len(apart):
             met.add(state)
             is_full = _is_full(r, accepted, len(known), MOST_CAUSES if rivals is None else IN_A_FOLD)
+            is_full |= _leaves_rounding(r, accepted)
             steps, no_worth = (
                 ([], None) if is_full else _entering(r, model, accepted, verdict, judged, rivals)
             )
