@@ -308,14 +308,15 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
 
 
 def is_of_rounding(r: Responses, residual_deg: FloatArray) -> bool:
-    """Return whether residuals (n,) are no larger than what rounding the readings leaves.
+    """Return whether residuals (n,) are as large as what rounding the readings leaves.
 
     The errors of a reading to whole counts, ±q/2, have a mean square of q²/12 (GUM F.2.2.1). At even poses
-    they are waves themselves, of which each is certain, and none is of the axis.
+    they are waves themselves, of which each is certain, and none is of the axis. Readings that leave less are
+    not rounded: the stage was moved until they changed.
     """
-    step_deg = _step_of_readings_deg(r)
-    most = (1.0 + STANDARD_ERRORS / 2.0 * math.sqrt(0.8 / len(r))) * step_deg**2 / 12.0
-    return len(r.channels) == 1 and float(np.mean(residual_deg**2)) <= most
+    rounded = _step_of_readings_deg(r) ** 2 / 12.0
+    off = abs(float(np.mean(residual_deg**2)) - rounded)
+    return len(r.channels) == 1 and off <= STANDARD_ERRORS / 2.0 * math.sqrt(0.8 / len(r)) * rounded
 
 
 @lru_cache(maxsize=8)

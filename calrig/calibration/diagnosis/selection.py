@@ -199,12 +199,13 @@ def simplest(
     Or one that leaves no more than rounding does.
     """
     single = [k for k, c in enumerate(verdict.candidates) if c.beside is None]
-    offered = [verdict.candidates[k] for k in single]
-    if best.candidate.beside is None or not (
-        _says_no_more(best, verdict.candidates)
-        or _leaves_rounding(r, [*accepted, offered[int(np.argmax(verdict.ratios[single]))]])
-    ):
+    waves = [k for k in single if verdict.candidates[k].columns.shape[2] <= 2]
+    first = max(waves, key=verdict.ratios.__getitem__, default=None)
+    if first is not None and _leaves_rounding(r, [*accepted, verdict.candidates[first]]):
+        single = waves
+    elif best.candidate.beside is None or not _says_no_more(best, verdict.candidates):
         return best
+    offered = [verdict.candidates[k] for k in single]
     return named(r, accepted, offered, verdict.ratios[single], verdict.p_value)
 
 

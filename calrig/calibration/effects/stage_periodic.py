@@ -74,15 +74,15 @@ def window_peaks(theta_deg: FloatArray, highest: float, least: float) -> tuple[F
 
 
 TURN_DEG = 360.0
-EVEN_POWER = 0.9
-"""Of the spectral window: where spacing is as good as even."""
+EVEN_POWER, MOSTLY_EVEN_POWER = 0.9, 0.75
+"""Of the spectral window: where spacing is as good as even; and where it is but as a stage gathers speed."""
 GRID_SHARE = 0.3
 """Of how uneven the elevations are, by which readings that are the grid are less so."""
 
 
-def spacing_deg(theta_deg: FloatArray) -> float | None:
+def spacing_deg(theta_deg: FloatArray, least: float = EVEN_POWER) -> float | None:
     """Return the step of evenly spaced elevations; None where jitter or gaps tell aliases apart."""
-    grid = _grid(theta_deg.astype(np.float64).tobytes())
+    grid = _grid(theta_deg.astype(np.float64).tobytes(), least)
     return None if grid is None else grid.step_deg
 
 
@@ -94,13 +94,13 @@ class _Grid(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _grid(angles: bytes) -> _Grid | None:
+def _grid(angles: bytes, least: float = EVEN_POWER) -> _Grid | None:
     theta_deg = np.frombuffer(angles)
     places = len(np.unique(theta_deg))
     if places < 3:
         return None
     arc = float(np.ptp(theta_deg))
-    even, _ = window_peaks(theta_deg, 1.5 * max(places / arc, 1.0 / SHORTEST_PERIOD_DEG), EVEN_POWER)
+    even, _ = window_peaks(theta_deg, 1.5 * max(places / arc, 1.0 / SHORTEST_PERIOD_DEG), least)
     if not len(even):
         return None
     step = steps_of(theta_deg, 1.0 / float(even[0]))
@@ -119,9 +119,13 @@ def step_deg(r: Responses) -> float | None:
 
 @lru_cache(maxsize=8)
 def _step_of_sides(r: Responses) -> float:
-    """Return the narrower step where the elevations from either side are evenly spaced; else 0."""
+    """Return the narrower step where the elevations from either side are evenly spaced; else 0.
+
+    Rows where the stage rests before it turns count once.
+    """
     sides = [] if r.approach is None else [r.theta_deg[r.approach == side] for side in (-1.0, 1.0)]
-    return min((spacing_deg(theta_deg) or 0.0 for theta_deg in sides), default=0.0)
+    places = [np.unique(theta_deg.round(2)) for theta_deg in sides]
+    return min((spacing_deg(theta_deg, MOSTLY_EVEN_POWER) or 0.0 for theta_deg in places), default=0.0)
 
 
 def _reading_deg(r: Responses) -> FloatArray:
