@@ -440,14 +440,10 @@ def print_gravity(found: dict[str, Any]) -> None:
             )
     errors = (
         (name, number(base[key], " mg", 2), number(final[key], " mg", 2))
-        for name, key in (
-            ("fit", "fit_rms_mg"),
-            (f"held out ({found['held_out']['how']})", "held_out_rms_mg"),
-        )
+        for name, key in (("fit", "fit_rms_mg"), ("held out", "held_out_rms_mg"))
     )
-    print_table(
-        (f"RMS of |a| − 1 g, {n} poses", "before", "after"), errors, caption="before: bias and gain alone"
-    )
+    said = f"before: bias and gain alone\nheld out: {found['held_out']['how']}"
+    print_table((f"RMS of |a| − 1 g, {n} poses", "before", "after"), errors, caption=said)
     print_warnings(found["warnings"])
 
 

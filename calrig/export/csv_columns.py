@@ -206,6 +206,15 @@ SAVE_WITH = "save the file with commas, semicolons or tabs"
 NO_NAMES = "the first line holds numbers, and the column names must come before it"
 
 
+def no_names(texts: Sequence[str]) -> str:
+    """Return why texts that stand for names are none."""
+    if not are_data(texts):
+        return f"a name has at most {MAX_NAME_CHARACTERS} characters, all printable"
+    numbers = texts[0].split() if len(texts) == 1 else []
+    has_spaces = len(numbers) > 1 and all(map(NUMBER.fullmatch, numbers))
+    return f"{NO_NAMES}; spaces separate the numbers: {SAVE_WITH}" if has_spaces else NO_NAMES
+
+
 def refuse_bad_names(columns: Sequence[Column], line: int) -> None:
     """Refuse names that are not printable, and columns that would be one.
 
@@ -215,8 +224,7 @@ def refuse_bad_names(columns: Sequence[Column], line: int) -> None:
     seen: dict[str, str] = {}
     for column in columns:
         if len(column.text) > MAX_NAME_CHARACTERS or not column.text.isprintable():
-            what = f"a name has at most {MAX_NAME_CHARACTERS} characters, all printable"
-            raise CsvError(what, line=line, column=column.text)
+            raise CsvError(no_names([one.text for one in columns]), line=line, column=column.text)
         if not column.name:
             continue
         if (first := seen.get(column.name)) is None:
@@ -249,7 +257,7 @@ def missing_columns(
     if found:
         texts, last = [column.text for column in columns], found[-1]
         is_data = are_data(texts) and not any(column.is_known for column in columns)
-        end = f": {NO_NAMES}" if is_data else f"; {there_are(texts)}"
+        end = f": {no_names(texts)}" if is_data else f"; {there_are(texts)}"
         if len(texts) == 1 and not {*required}.isdisjoint(texts[0].split()):
             end = f"; spaces separate the names: {SAVE_WITH}"
         elif below is not None:

@@ -30,6 +30,7 @@ from calrig.export.csv_columns import (
     columns_of,
     header_notes,
     missing_columns,
+    no_names,
     own_decimal,
     refuse_bad_names,
 )
@@ -310,7 +311,7 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
         raise CsvError(f"is {what}", line=header.line)
     rows = data[header.end : header.end + EXAMINED_BYTES]
     if _has_long_names(header):
-        raise CsvError(f"a name has at most {MAX_NAME_CHARACTERS} characters", line=header.line)
+        raise CsvError(no_names([header.text.decode(errors="replace")]), line=header.line)
     dialect = dialect_of(header.text, rows, known, separators)
     texts = [from_spreadsheet(name.strip()) for name in _cells(header, dialect)]
     texts += name_of_last(rows, dialect, len(texts), report)
@@ -381,11 +382,12 @@ def _rows_below(data: bytes, row: _Row) -> Iterator[_Row]:
 
 
 def _names_below(data: bytes, header: _Row, dialect: Dialect) -> int | None:
-    """The first of the lines right above the first data that have as many cells, if the header has fewer."""
+    """The first of the lines right above most data that have as many cells, if the header has fewer."""
     rows = [header, *_rows_below(data, header)]
     texts = (row.text.decode(errors="replace").rstrip(dialect.separator) for row in rows)
     cells = [text.split(dialect.separator) for text in texts]
-    k = next((k for k, own in enumerate(cells) if len(own) > 1 and are_data(own)), 0)
+    kinds = "".join("d" if len(own) > 1 and are_data(own) else " " for own in cells)
+    k = kinds.index(max(kinds.split(), key=len, default=""))  # a list of channels may look like a few data
     while k > 1 and len(cells[k - 1]) == len(cells[k]):
         if not are_data(cells[k]) and rows[k - 1].line + 1 < rows[k].line:
             break  # lines of another kind, above a blank one

@@ -11,7 +11,7 @@ import numpy as np
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.noise.allan import KINDS, AllanCurve, allan_curve, variance_of
 from calrig.noise.coefficients import Coefficients, coefficients
-from calrig.noise.distribution import Distribution, distribution_of
+from calrig.noise.distribution import Distribution, distribution_of, knocks_in
 from calrig.noise.resampling import UniformLog, uniform_log
 from calrig.noise.spectral_lines import Line, find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
@@ -188,7 +188,8 @@ def analyse(
     Raises:
         ValueError: there is no rate or no sample; says what to do.
     """
-    log = uniform_log(channels, time_s, rate_hz)
+    knocks = {name: found for name, values in channels.items() if (found := knocks_in(values))}
+    log = uniform_log(channels, time_s, rate_hz, [one for found in knocks.values() for one in found])
     axes = accelerometer_channels(log.channels)
     names = [*log.channels, *([ELEVATION] if axes else [])]
     analysed: dict[str, ChannelNoise] = {}
@@ -199,7 +200,7 @@ def analyse(
         analysed[name] = _channel(log, name)
         if progress is not None:
             progress(done / len(names))
-    notes = (*log.notes, *_of_rest(log))
+    notes = (*_of_knocks(knocks), *log.notes, *_of_rest(log))
     return Noise(log.rate_hz, log.duration_s, log.gaps, log.not_finite, notes, analysed)
 
 
@@ -211,6 +212,15 @@ def _of_rest(log: UniformLog) -> tuple[str, ...]:
     return (
         f"This is no sensor at rest: gravity turns by {turn:.0f}° in it, so what follows is of its motion, "
         "not of its noise. Cut out a stretch in which it stood still.",
+    )
+
+
+def _of_knocks(knocks: Mapping[str, Sequence[slice]]) -> tuple[str, ...]:
+    """Return what is to be said of stretches left out."""
+    return tuple(
+        f"{name} lies far from its other samples for a moment, as of a knock: samples "
+        f"{', '.join(f'{one.start + 1} to {one.stop}' for one in found)} are left out of every channel."
+        for name, found in knocks.items()
     )
 
 

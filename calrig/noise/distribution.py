@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtr, ndtri
 
-from calrig.estimation.angles import FloatArray
+from calrig.estimation.angles import FloatArray, IntArray
 
 _WHOLE = 2**17
 """Samples whose autocovariance is taken at every lag; of longer logs the far lags are those of means."""
@@ -238,21 +238,80 @@ def count_outliers(x: FloatArray, step: float) -> int:
 
     `x` (N,) are finite samples in order, rounded to `step`; 0 if they are not.
     """
+    suspects, limit = _far_out(x, step)
+    if len(suspects) == 0:
+        return 0
+    windows = _windows(x)
+    block = np.minimum(suspects // windows.shape[1], len(windows) - 1)
+    blocks, place = np.unique(block, return_inverse=True)
+    middle = np.median(windows[blocks], axis=1)
+    return int(np.count_nonzero(np.abs(x[suspects] - middle[place]) > limit))
+
+
+def _far_out(x: FloatArray, step: float) -> tuple[IntArray, float]:
+    """Return the samples that are far out in the whole log, and how far is far in their surroundings."""
     sigmas = max(LEAST_SIGMAS, -float(ndtri(EXPECTED_OUTLIERS / (2.0 * max(len(x), 1)))))
     thinned = x[:: max(len(x) // _LOOKED_AT_FOR_OUTLIERS, 1)]
     limit = sigmas * _spread(thinned, step) + step / 2.0
     suspects = np.flatnonzero(np.abs(x - np.median(thinned)) > limit)
     if len(suspects) == 0:
-        return 0
-    around = min(_NEIGHBOURS, len(x))
-    blocks = np.unique(np.minimum(suspects // around, len(x) // around - 1))
-    windows = x[: len(x) // around * around].reshape(-1, around)
-    middle = np.median(windows[blocks], axis=1)
+        return suspects, limit
+    windows = _windows(x)
     all_blocks = windows[:: max(len(windows) // (_LOOKED_AT_FOR_OUTLIERS // _NEIGHBOURS), 1)]
     nearby = all_blocks - np.median(all_blocks, axis=1, keepdims=True)
-    limit = sigmas * _spread(nearby.ravel(), step) + step / 2.0
-    block = np.searchsorted(blocks, np.minimum(suspects // around, len(x) // around - 1))
-    return int(np.count_nonzero(np.abs(x[suspects] - middle[block]) > limit))
+    return suspects, sigmas * _spread(nearby.ravel(), step) + step / 2.0
+
+
+def _windows(x: FloatArray) -> FloatArray:
+    around = min(_NEIGHBOURS, len(x))
+    return x[: len(x) // around * around].reshape(-1, around)
+
+
+MOST_KNOCKS, MOST_KNOCKED = 4, 0.05
+"""Of more, a log tells to better than half how often they come: they are part of its noise, as are those that
+make up more of the log.
+"""
+
+
+def knocks_in(x: FloatArray) -> list[slice]:
+    """Return the few stretches that rule a log's Allan deviation and say nothing of its noise, as of a knock.
+
+    Far out for a moment, or to the end of the log, they begin and end at once, as no drift does, and at some
+    averaging time they make more of the Allan variance than all the rest. Each is taken as long again on
+    either side, where it swings in and out.
+
+    `x` (N,) are samples in order, NaN where not known.
+    """
+    rows = np.flatnonzero(np.isfinite(x))
+    x = x if len(rows) == len(x) else x[rows]
+    suspects, limit = _far_out(x, step_of(x)) if len(x) else (rows, 0.0)
+    parts = np.split(suspects, np.flatnonzero(np.diff(suspects) > _NEIGHBOURS) + 1)
+    if len(suspects) == 0 or len(parts) > MOST_KNOCKS or len(x) < 2 * _NEIGHBOURS:
+        return []
+    ends = [(int(part[0]), int(part[-1]) + 1) for part in parts]
+    wide = [(max(2 * a - b, 0), min(2 * b - a, len(x))) for a, b in ends]
+    if sum(b - a for a, b in wide) > MOST_KNOCKED * len(x):
+        return []
+    phase = np.concatenate(([0.0], np.cumsum(x - np.median(x))))
+    rules = np.zeros(len(ends), dtype=np.bool_)
+    for m in 2 ** np.arange(int(np.log2(max(b - a for a, b in ends))) + 1):
+        squares = (phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]) ** 2
+        touching = [slice(max(a - 2 * m + 1, 0), b) for a, b in wide]
+        own = np.array([squares[part].sum() for part in touching])
+        for part in touching:
+            squares[part] = 0.0
+        rules |= own > squares.sum()
+
+    def stands_out(row: int, neighbours: FloatArray) -> bool:
+        return len(neighbours) > 0 and bool(abs(x[row] - np.median(neighbours)) > limit)
+
+    return [
+        slice(int(rows[begin]), int(rows[end - 1]) + 1)
+        for (a, b), (begin, end), is_ruling in zip(ends, wide, rules, strict=True)
+        if is_ruling
+        and stands_out(a, x[:a][-_NEIGHBOURS:])
+        and (b == len(x) or stands_out(b - 1, x[b : b + _NEIGHBOURS]))
+    ]
 
 
 def _spread(x: FloatArray, step: float) -> float:

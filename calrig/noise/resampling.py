@@ -8,6 +8,7 @@ by a straight line, so that the log stays in one piece.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -213,7 +214,10 @@ class UniformLog:
 
 
 def uniform_log(
-    channels: dict[str, FloatArray], time_s: FloatArray | None, rate_hz: float | None
+    channels: dict[str, FloatArray],
+    time_s: FloatArray | None,
+    rate_hz: float | None,
+    left_out: Sequence[slice] = (),
 ) -> UniformLog:
     """Put a log's samples on a uniform grid.
 
@@ -223,6 +227,7 @@ def uniform_log(
         channels: (N,) each, by name; NaN where not known.
         time_s: (N,) stamps in s; may jitter, clump, wrap or go backwards. None without any.
         rate_hz: what the user says; wins over what `time_s` tells.
+        left_out: samples that are as missing.
 
     Raises:
         ValueError: there is no rate, or nothing is left.
@@ -240,7 +245,9 @@ def uniform_log(
         notes.append(f"{not_finite} of {count} samples have a value that is no number; left out.")
     if count == not_finite:
         raise ValueError("no sample of the log has a number in every channel")
-    if grid.place is None and not not_finite:
+    for stretch in left_out:
+        finite[stretch] = False
+    if grid.place is None and finite.all():
         duration_s = count / grid.rate_hz
         return UniformLog(
             grid.rate_hz, duration_s, channels, (slice(0, count),), (0.0,), grid.gaps, 0, tuple(notes)

@@ -380,6 +380,31 @@ def test_base_takes_the_truth_to_a_reading_and_a_pose_held_out_fits_worse_than_o
         assert model["fit_rms_mg"] < model["held_out_rms_mg"]
 
 
+def test_effects_that_too_few_poses_are_left_to_search_for_are_fitted_again_without_each_pose():
+    rng = np.random.default_rng(3)
+    poses = poses_of(directions(rng, 12), rng, matrix=np.array([[1, 0.01, -5e-3], [0, 1, 8e-3], [0, 0, 1]]))
+    at = np.triu_indices(3)
+
+    def errors_g(p, raw):
+        matrix = np.zeros((3, 3))
+        matrix[at] = p[3:]
+        return np.linalg.norm((raw - p[:3]) @ matrix.T, axis=1) - 1.0
+
+    expected_g = []
+    for k in range(12):
+        others = np.delete(poses.accel_g, k, axis=0)
+        found = least_squares(errors_g, [0, 0, 0, 1, 0, 0, 1, 0, 1], args=(others,), xtol=1e-14, ftol=1e-14)
+        expected_g += list(errors_g(found.x, poses.accel_g[[k]]))
+
+    document = gravity_document(trace_gravity(poses))
+
+    assert [effect["name"] for effect in document["effects"]] == ["misalignment"]
+    assert document["held_out"]["how"] == "leave one pose out, with the effects of all poses"
+    after_mg = 1e3 * np.sqrt(np.mean(np.square(expected_g)))
+    assert document["final"]["held_out_rms_mg"] == pytest.approx(after_mg, rel=1e-4)
+    assert after_mg < document["base"]["held_out_rms_mg"] / 3.0
+
+
 def test_six_faces_show_no_misalignment_and_it_is_said():
     rng = np.random.default_rng(8)
     faces = np.vstack([np.eye(3), -np.eye(3)] * 3)

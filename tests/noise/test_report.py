@@ -136,3 +136,39 @@ def test_a_log_of_a_sensor_that_was_turned_is_said_to_be_no_log_of_noise():
     time_s = np.arange(4000) / RATE_HZ
     assert any("no sensor at rest" in said for said in report(turned, time_s)["summary"])
     assert not any("no sensor at rest" in said for said in report(still_log(4000), time_s)["summary"])
+
+
+@pytest.mark.parametrize(
+    ("knock", "left_out"),
+    [
+        (slice(9_000, 9_050), "samples 8951 to 9100"),
+        (slice(9_000, 9_001), "samples 9000 to 9002"),
+        (slice(19_900, 20_000), "samples 19801 to 20000"),
+    ],
+)
+def test_a_knock_is_left_out_and_the_noise_is_that_of_the_rest(knock, left_out):
+    channels = still_log()
+    channels["gyro_x_dps"][knock] += 30.0
+    found = report(channels, np.arange(20_000) / RATE_HZ)
+    for name, limit in (("gyro_x_dps", WHITE_DPS), ("accel_x_g", WHITE_G)):
+        assert found["channels"][name]["coefficients"]["white"]["value"] == pytest.approx(limit, rel=0.03)
+        assert found["channels"][name]["colour"] == "white"
+    (said,) = (sentence for sentence in found["summary"] if "knock" in sentence)
+    assert said.startswith("gyro_x_dps") and left_out in said
+
+
+@pytest.mark.parametrize("kind", ["heavy tails", "recurring knocks", "a walk", "a warm-up", "a level"])
+def test_what_may_be_the_sensors_own_noise_stays_in(kind):
+    rng, n = np.random.default_rng(4), 20_000
+    own = {
+        "heavy tails": rng.standard_t(3, n),
+        "recurring knocks": 600.0 * np.isin(np.arange(n) % 3000, range(50)),
+        "a walk": np.cumsum(rng.standard_normal(n)),
+        "a warm-up": 30.0 * np.exp(-np.arange(n) / 200.0),
+        "a level": 30.0 * (np.arange(n) // 2000 == 4),
+    }[kind]
+    white = rng.standard_normal(n)
+    found = report({"gyro_x_dps": white + own}, None, RATE_HZ)
+    assert found["channels"]["gyro_x_dps"]["mean"] == pytest.approx((white + own).mean(), rel=1e-9)
+    assert found["summary"][0] == "200 s at 100 Hz."
+    assert not any("left out" in sentence for sentence in found["summary"])
