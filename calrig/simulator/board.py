@@ -108,11 +108,6 @@ class Board:
         """Wall time until it may have more to say; None while it only listens."""
         return BLOCK_INTERVAL_S if self._stream or self._unsaid else None
 
-    @property
-    def streaming(self) -> bool:
-        """Whether samples are being sent."""
-        return self._stream is not None
-
     def opened(self) -> None:
         """Its port was opened, which resets it where it boots."""
         if self._options.boot_s:

@@ -44,11 +44,6 @@ class SimulatedProcess:
         self._process = process
 
     @property
-    def running(self) -> bool:
-        """Whether the process is alive."""
-        return self._process.poll() is None
-
-    @property
     def pid(self) -> int:
         """Its process id."""
         return self._process.pid
