@@ -11,7 +11,7 @@ import logging
 import time
 from dataclasses import dataclass, field, replace
 from threading import Lock
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -52,12 +52,11 @@ class PresenceStatus:
     serial: str | None
     says: str
 
-    def of_unit(self, unit: str) -> PresenceStatus:
+    def of_unit(self, unit: str) -> Self:
         """The same, where that unit is to be there."""
         if self.serial and self.serial != unit:
-            return PresenceStatus(
-                "wrong", self.serial, f"The board reports serial number {self.serial}, not {unit}."
-            )
+            says = f"The board reports serial number {self.serial}, not {unit}."
+            return replace(self, state="wrong", says=says)
         if self.state != "there":
             return self
         known = f"Board of {unit} detected."

@@ -316,7 +316,7 @@ class SimulatorSettings(Options):
         return self
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> SimulatorSettings:
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
         """The settings of a rig's `simulated` table, over those of its preset where it names one.
 
         `options` are for example `{"preset": "demo", "seed": 3, "mechanics": {"backlash_deg": 0.2}}`.
