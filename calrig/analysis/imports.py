@@ -1,7 +1,5 @@
 """The import of poses from a file: read and fitted without a store; and the checks of serial numbers."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

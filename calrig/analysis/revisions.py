@@ -1,7 +1,5 @@
 """Drafts of a unit's calibration, and who puts them in force: CONTRACT section 6."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

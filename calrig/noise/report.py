@@ -1,7 +1,5 @@
 """The document of a unit's noise (CONTRACT section 7), with its summary in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any

@@ -5,8 +5,6 @@ as long as requests for it arrive; a run that starts takes over the open port if
 and evaluation are separate, because a bench checks and its centre evaluates.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from dataclasses import dataclass, field, replace

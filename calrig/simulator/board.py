@@ -3,8 +3,6 @@
 A packet is type, payload, CRC-16/CCITT-FALSE, all encoded by COBS, and one zero byte.
 """
 
-from __future__ import annotations
-
 import binascii
 import json
 import random

@@ -1,7 +1,5 @@
 """What a simulated rig is made of: every part of its physics off unless it is asked for, and a seed."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self

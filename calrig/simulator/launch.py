@@ -1,7 +1,5 @@
 """Starts a simulated rig as a separate process, so that the service knows it by its ports alone."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -4,8 +4,6 @@ Only the newest epoch of an order counts. A bench takes an order by one statemen
 to write. So the centre also uses one statement where it depends on that: the server lets only one be first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
