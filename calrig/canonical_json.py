@@ -1,7 +1,5 @@
 """Documents in JSON: read from a file, and the text that their hash is of (CONTRACT section 6)."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

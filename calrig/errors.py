@@ -1,7 +1,5 @@
 """What the command line says in one line, by the exit status that it leaves with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """What is wrong with somebody's input, in the words that the page has for its fields."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, get_args
 

@@ -1,7 +1,5 @@
 """What is configured for certificates: the laboratory, and the certificates of what it measures by."""
 
-from __future__ import annotations
-
 import hashlib
 from datetime import date
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A calibration in a program of one's own: `calrig.load(path_or_url).elevation_deg(reading_deg)`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

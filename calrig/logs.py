@@ -1,7 +1,5 @@
 """The log: one line an event, as text for people or as JSON for programs, each with the run it is about."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

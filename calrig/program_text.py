@@ -1,7 +1,5 @@
 """Which program text it is that decides something: what was decided by another one is decided anew."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from functools import cache

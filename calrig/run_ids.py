@@ -1,7 +1,5 @@
 """Ids of runs: UUIDs, minted where a run begins; numbers in stores older than that."""
 
-from __future__ import annotations
-
 import re
 import uuid
 

@@ -1,7 +1,5 @@
 """The configuration, calrig.toml: rigs, limits, webhook, centre; and where store and packed files are."""
 
-from __future__ import annotations
-
 import os
 import re
 import tomllib

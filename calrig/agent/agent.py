@@ -10,8 +10,6 @@ Deliveries: if a receipt is lost, the parcel is delivered again. The centre iden
 number, poses by run and index, sample blocks by run and number.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -6,8 +6,6 @@ The lease says how long a bench may act on orders after the centre's last answer
 keeps a disconnected bench from starting outdated orders; the epochs of orders keep runs from starting twice.
 """
 
-from __future__ import annotations
-
 import random
 import threading
 import time

@@ -3,8 +3,6 @@
 The row of an order is authoritative. A notification only announces that a row may have changed.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

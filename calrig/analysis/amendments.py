@@ -1,7 +1,5 @@
 """What is done to runs after they were measured, or instead: import, void, move. Nothing is deleted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence, Set
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The basis of a unit's revisions, what has changed of it, and the revision that a verification applies."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

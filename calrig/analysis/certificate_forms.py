@@ -3,8 +3,6 @@
 Apart from what reads the store, so that a process for heavy work loads no database to make them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

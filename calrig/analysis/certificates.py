@@ -1,7 +1,5 @@
 """Certificates, archives and exports of a revision, made from the store."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """Use cases of a rig's check standard: each check, when the next is due, the runs that a failure affects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta

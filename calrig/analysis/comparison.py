@@ -1,7 +1,5 @@
 """Units side by side: their runs, how each drifts and changed, what sets units apart, and their pictures."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Diagnoses of stored runs, and the acceptance of their effects."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """When each unit is due: by the drift of its history against its limits, else after a fixed interval."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta

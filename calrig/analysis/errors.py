@@ -1,7 +1,5 @@
 """Why a request about runs cannot be met, in the three kinds that HTTP and the command line answer by."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 

@@ -1,7 +1,5 @@
 """Use cases of histories: the runs of all units side by side, what changed between runs, in sentences."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import re

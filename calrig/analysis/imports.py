@@ -1,12 +1,10 @@
 """The import of poses from a file: read and fitted without a store; and the checks of serial numbers."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import calrig
 from calrig.analysis.errors import Invalid
@@ -47,7 +45,7 @@ class ImportOrigin:
         kind: StatedKind | None = None,
         certificate: str | None = None,
         assumed: AssumedReference | None = None,
-    ) -> ImportOrigin:
+    ) -> Self:
         """Return the origin as requested, with the reference of a configured rig of this name.
 
         Args:

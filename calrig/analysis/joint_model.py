@@ -1,7 +1,5 @@
 """The effects accepted from several runs of a unit, as one model fitted over the poses of these runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Use cases of limits: replace them and check whether a plan can pass them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 

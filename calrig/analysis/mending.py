@@ -8,8 +8,6 @@ as missing only if the stored one is that of before the change, and a draft only
 on the unit's own effects and the poses as they are.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterable, Sequence

@@ -71,9 +71,7 @@ def study_samples(study: Study, path: Path, names: Sequence[str], gyro_scale: fl
 
 def noise_of_samples(path: Path, names: Sequence[str]) -> Answer:
     """The noise document of such a file, without pictures; as `study_samples`."""
-    from calrig.noise.report import report
-
-    return report(*_columns(path, names))
+    return studied("noise", *_columns(path, names))[0]
 
 
 def _columns(path: Path, names: Sequence[str]) -> tuple[dict[str, FloatArray], FloatArray]:

@@ -1,11 +1,10 @@
 """Drafts of a unit's calibration, and who puts them in force: CONTRACT section 6."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Self
 
 from calrig.analysis.calibration_in_force import (
     basis_of,
@@ -50,7 +49,7 @@ class Releases:
     remount_limits_deg: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, rigs: Sequence[RigSettings]) -> Releases:
+    def of(cls, rigs: Sequence[RigSettings]) -> Self:
         """As configured; `auto` where nothing is."""
         return cls(
             {rig.name: rig.release for rig in rigs},

@@ -1,7 +1,5 @@
 """Use cases of a search for runs: pages of them, also by verdict, and times as people write them."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta

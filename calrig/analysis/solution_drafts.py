@@ -1,7 +1,5 @@
 """A unit's calibration by a joint solution as a draft: CONTRACT sections 6 and 8."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime

@@ -4,8 +4,6 @@ A map that was put in force (`POST /api/rigs/{name}/map`) precedes the file that
 it is withdrawn, the file is in force again.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

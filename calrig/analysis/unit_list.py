@@ -1,7 +1,5 @@
 """The list of units: each with its revision in force, latest calibration, last change and due date."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The application: every path of the API and the page over one run service."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

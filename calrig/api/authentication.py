@@ -1,7 +1,5 @@
 """Authentication: a program by its token, a person by a session or by a trusted proxy."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import hmac

@@ -1,7 +1,5 @@
 """Batches: units that are calibrated one after the other, as every tab, phone and reload shows them."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import asdict
 from datetime import datetime

@@ -4,8 +4,6 @@ FastAPI limits their size (`max_body_size` of the paths), but not their time, an
 a body that comes too slowly gets 408, one upload too many 503, and FastAPI's 413 becomes JSON.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager

@@ -6,8 +6,6 @@ Each request passes through it on its way to the application, so it knows whethe
 `calrig.api.body_limits` limits the time of a body.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

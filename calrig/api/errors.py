@@ -1,7 +1,5 @@
 """Every error as `{"detail": reason}`, the reason one line that a person can act on."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from tempfile import gettempdir

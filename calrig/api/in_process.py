@@ -1,7 +1,5 @@
 """The API within this process, without a port: a command asks it as it asks a service, by `calrig.client`."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from concurrent.futures import CancelledError

@@ -3,8 +3,6 @@
 The work is given up when the client leaves. A client that does not wait gets the id of the job.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from functools import partial

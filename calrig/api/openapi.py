@@ -1,7 +1,5 @@
 """The OpenAPI document that is kept with the source; `python -m calrig.api.openapi` regenerates it."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

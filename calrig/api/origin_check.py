@@ -7,8 +7,6 @@ nothing of the kind and are known by the token alone.
 Who changed what: a line in the log for each request that changes something, or that failed.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import time

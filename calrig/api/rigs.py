@@ -1,7 +1,5 @@
 """Rigs: the mean error map, the stage map in force, and the check standard."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from functools import partial
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """What a path of the API answers and who may ask, as keyword arguments of FastAPI's decorators."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Runs: started, listed, controlled and amended; with health, rigs, the port scan and the clamp."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """The HTTP server: it listens before anything slow starts, reports when it is ready, and stops in time."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import errno

@@ -3,8 +3,6 @@
 Few of many requests or streams proceed per iteration of the loop, so that a stop request never waits for all.
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 import time

@@ -3,8 +3,6 @@
 A serial number may contain `/`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence

@@ -7,8 +7,6 @@ restricted likelihood as weight (Harville, JASA 72, 1977; Zellner & Tiao, JASA 5
 `python -m tests.studies.correlated_poses` counts what is covered.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Bias and scale by least squares: reading = bias + scale·θ, with what they are worth."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ turning, are continued to the dwells that were come to in that sense. What the t
 beyond the stage's reports (a worm, a creep behind the motor) the gyro feels, and no vibration is that.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -15,8 +15,6 @@ Navigation, 2001, section 3.4), from rectangular priors of what an uncalibrated 
 section 6) and an ordinary open-loop stage may have.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple

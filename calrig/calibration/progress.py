@@ -1,7 +1,5 @@
 """Progress of a computation, as the share of the work that is done."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 Progress = Callable[[float], None]

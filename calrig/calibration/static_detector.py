@@ -5,8 +5,6 @@ agree best with |a| = 1 g: the smallest mean standard error of bias, scale and m
 motion taken for rest (window too short) and with poses that are missed (window too long).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -3,8 +3,6 @@
 A report of a bench is accepted as far as it has the right form; other values count as unknown.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass

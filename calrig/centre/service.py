@@ -5,8 +5,6 @@ unpacks deliveries (of several processes, the first one). The centre computes re
 a bench completed, from the effects and limits in force at the centre.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """How a command ends: 0 done; 1 the work failed; 2 wrong usage or unreadable input; one line says why."""
 
-from __future__ import annotations
-
 import errno
 import sys
 from typing import Any, NoReturn

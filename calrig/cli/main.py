@@ -1,7 +1,5 @@
 """The entry point: which commands there are."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable

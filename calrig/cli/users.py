@@ -1,7 +1,5 @@
 """`users`: who is known to the service, in which role, by which token."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Annotated
 from urllib.parse import quote

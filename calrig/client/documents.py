@@ -3,8 +3,6 @@
 Units are in the names; what is not known is None. Fields that a newer service adds are kept as attributes.
 """
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError

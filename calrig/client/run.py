@@ -1,7 +1,5 @@
 """A run at a service: its events, over a connection that may break (HTML standard, 9.2), result and jobs."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence

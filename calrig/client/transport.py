@@ -1,7 +1,5 @@
 """HTTP to a service by httpx, with the token of CALRIG_TOKEN: JSON, text, files, streams of lines."""
 
-from __future__ import annotations
-
 import json
 import os
 import ssl

@@ -1,7 +1,5 @@
 """Angles in words: as many digits as show them, small ones in arcseconds as well."""
 
-from __future__ import annotations
-
 import math
 
 SMALL_DEG = 0.01

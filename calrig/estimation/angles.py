@@ -1,7 +1,5 @@
 """Angles in degrees: wrapping, the elevation that gravity gives, and a robust standard deviation."""
 
-from __future__ import annotations
-
 import math
 from typing import overload
 

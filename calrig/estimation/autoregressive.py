@@ -5,8 +5,6 @@ samples, cut off at some lag, is biased low there; an autoregressive model carri
 to long ones (VARHAC: den Haan & Levin, NBER technical working paper 197, 1996).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

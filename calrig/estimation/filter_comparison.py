@@ -6,8 +6,6 @@ the window, which is what a controller has; *centred* is that in its middle, whi
 Smoothers take samples as evenly spaced: give one segment without a gap at a time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

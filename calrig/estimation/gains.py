@@ -4,8 +4,6 @@ They depend on the noise assumed and on dt, not on the data: firmware that canno
 recursion may take the transient gains from a table, and go on with the steady-state gain after the last.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What the gyro says of itself: its bias from the dwells, its scale from the moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

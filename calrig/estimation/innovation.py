@@ -10,8 +10,6 @@ than S, rightly, for R stands for the density at low frequency. So the same is a
 where the filter acts and the chip's low-pass no longer shows.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

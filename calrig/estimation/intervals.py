@@ -1,7 +1,5 @@
 """Segments of a log without a gap, and the static and dynamic intervals in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -10,8 +10,6 @@ accelerometer's elevation z as measurement. With dt from the board's clock:
 The gain depends on dt alone and not on the data; what follows from that is in `calrig.estimation.gains`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

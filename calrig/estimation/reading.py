@@ -1,7 +1,5 @@
 """A dwell's reading: the mean of its filtered samples, and what that mean is worth."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Both need to know where the sensor really was. On a rig without an encoder's rec
 knows that better than any filter running in it could: see `move_reference`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

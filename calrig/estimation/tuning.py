@@ -11,8 +11,6 @@ R is not the variance of a sample. Where the chip's low-pass makes neighbours al
 than R and their sum no better known: what the filter must be told is the density at low frequency, R·dt = N².
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

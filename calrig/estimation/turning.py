@@ -9,8 +9,6 @@ play was taken up long before. Gyro and accelerometer of an MPU-6050 are delayed
 DLPF_CFG: within 0.5 ms of one another).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

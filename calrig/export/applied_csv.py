@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import IO
+from typing import IO, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -183,7 +183,7 @@ class _Places:
     temperature: int | None
 
     @classmethod
-    def of(cls, layout: Layout, application: Application) -> _Places:
+    def of(cls, layout: Layout, application: Application) -> Self:
         header, line = layout.header, layout.header_line
         for name in ADDED:
             if name in header:

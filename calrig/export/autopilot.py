@@ -3,8 +3,6 @@
 A driver hands on its chip's axes in an order and sense of its own, and parameters are along these.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

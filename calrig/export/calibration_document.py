@@ -3,8 +3,6 @@
 A document that is read from a file or a service is refused unless it is as it was issued.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

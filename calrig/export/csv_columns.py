@@ -4,8 +4,6 @@
 not clearly one of these stays a column of its own; two columns that would be one are refused.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

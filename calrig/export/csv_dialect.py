@@ -3,8 +3,6 @@
 `csv_text` writes such a file.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -3,8 +3,6 @@
 Only what has one meaning is here: `rps` in brackets may be revolutions, `grad` degrees or gons.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A file that is made piece by piece: whole, or not there."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What formats of an IMU's noise have in common: white noise and random walk of accelerometer and gyro."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ One file holds some thousand runs, a row a pose: `run_id`, `unit`, `rig`, then C
 their names there, then covariates. What is not known is null.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any

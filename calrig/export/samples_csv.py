@@ -3,8 +3,6 @@
 Each sample has its pose, and whether it belongs to the move to that pose or to the dwell there.
 """
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Iterable, Iterator

@@ -5,8 +5,6 @@ allows no change. `key` is a private key, RSA or of an elliptic curve, PEM witho
 is X.509 of that key, or the chain up from it, PEM.
 """
 
-from __future__ import annotations
-
 import io
 from importlib.util import find_spec
 from pathlib import Path

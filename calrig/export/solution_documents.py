@@ -4,8 +4,6 @@ For a whole unit `accelerometer` and `gyro` are filled: an elevation needs `effe
 `accelerometer`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

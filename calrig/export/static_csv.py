@@ -5,8 +5,6 @@ cell is, and takes some texts for numbers. So any other piece goes through `calr
 forty times slower and exact.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re

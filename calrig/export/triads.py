@@ -1,7 +1,5 @@
 """What a calibration document says of the axes of accelerometer and gyro, as other programs take it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

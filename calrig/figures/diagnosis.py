@@ -1,7 +1,5 @@
 """Pictures of a diagnosis: the error before and after, and the partial residuals of its effects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

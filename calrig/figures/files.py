@@ -1,7 +1,5 @@
 """Figures as a file: several on one sheet, as HTML that stands by itself or as PNG."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec

@@ -1,7 +1,5 @@
 """Pictures of filters side by side, on a move and at rest (Nirmal et al. 2016, figures 5, 7 and 8)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

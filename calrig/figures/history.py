@@ -1,7 +1,5 @@
 """Pictures over time: one unit's history, units beside each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Pictures of a joint solution: the stage's map, and what the poses leave without it and with it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any

@@ -1,7 +1,5 @@
 """Pictures of a sensor's noise: Allan deviation, spectrum, distribution (Nirmal et al. 2016, 3, 4, 9)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

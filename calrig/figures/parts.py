@@ -1,7 +1,5 @@
 """What all figures are made of: colours, lines, error bars, axes."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from html import escape
 from typing import Any

@@ -6,8 +6,6 @@ of trace. Without the traces that calrig does not draw, most modules are never c
 quarter of the bytes remain, all unchanged. A bundler would do the same, but needs Node.js at build time.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping
 

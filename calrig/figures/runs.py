@@ -1,7 +1,5 @@
 """Pictures of runs: what was read while they went on, and the residual of each pose."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ No browser is needed. Supported are markers against one x axis and any number of
 titles, annotations and a legend; any other figure is refused.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import unescape

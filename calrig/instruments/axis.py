@@ -1,7 +1,5 @@
 """A stage as an axis of elevation: zero, sign, ratio, soft limits, and moves watched until they end."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ left half done: a reply still on its way would be taken for the next one's. The 
 run's write waits for another program's lock.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

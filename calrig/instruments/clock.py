@@ -1,7 +1,5 @@
 """The time that devices live in. It comes with their port: the wall's, unless the port brings its own."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What can go wrong on a wire, each said so that a person can act on it."""
 
-from __future__ import annotations
-
 
 class InstrumentError(Exception):
     """A device or its port failed. The message names device, port, what happened and what to do."""

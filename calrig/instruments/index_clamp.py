@@ -6,8 +6,6 @@ It turns a unit in its clamp. Most rigs have none: hands do that.
 with that axis along the stage's, or with `ERR` and the reason.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Self
 

@@ -1,7 +1,5 @@
 """Opening and using a port: anything `serial.serial_for_url` takes, every failure said with its name."""
 
-from __future__ import annotations
-
 import errno
 import os
 import select

@@ -4,8 +4,6 @@ Each port is opened once, which resets most Arduinos, and listened to before any
 the result as text for `calrig.toml`.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 from collections.abc import Callable, Container, Iterable, Sequence

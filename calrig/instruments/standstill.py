@@ -3,8 +3,6 @@
 `confirm_standstill` repeats the stop until two consecutive reports show the stage at rest at one angle.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

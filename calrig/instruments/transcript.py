@@ -7,8 +7,6 @@ A transcript is text, one piece a line, for people and tests:
     0.013552 < 31494431320d0a  what it received
 """
 
-from __future__ import annotations
-
 import struct
 import threading
 import time

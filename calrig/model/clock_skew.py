@@ -1,7 +1,5 @@
 """How far a bench's clock may be from its centre's, and what is said of one that is further."""
 
-from __future__ import annotations
-
 import math
 
 SHOWN_S = 2.0

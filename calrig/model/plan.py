@@ -1,7 +1,5 @@
 """What a run is to do: the plan as a person or program writes it, and the poses that follow from it."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import dataclass

@@ -18,8 +18,6 @@ samples passed through a filter of spectrum G_i(ν), ν in cycles a sample; the 
 Analysis, 2000, section 8.3).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

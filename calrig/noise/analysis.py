@@ -1,7 +1,5 @@
 """Analyse a static log: the noise of each channel, its colour, and whether the sensor was at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias

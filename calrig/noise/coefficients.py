@@ -10,8 +10,6 @@ chi-square variable nearly Gaussian even at the few degrees of freedom of a long
 ramp; each term must be worth its price.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ and Glynn's of kurtosis are combined as by D'Agostino and Pearson (Biometrika 60
 compared with a Gaussian rounded to the same steps.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

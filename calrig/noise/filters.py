@@ -1,7 +1,5 @@
 """The filters side by side on one log, the tuned one from the noise that the same log shows at rest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace

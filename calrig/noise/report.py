@@ -1,13 +1,10 @@
 """The document of a unit's noise (CONTRACT section 7), with its summary in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from calrig.estimation.angles import FloatArray
-from calrig.noise.analysis import ELEVATION, ChannelNoise, Noise, analyse
+from calrig.noise.analysis import ELEVATION, ChannelNoise, Noise
 from calrig.noise.units import bias_instability, level, quantity, white_density, white_random_walk
 
 _SENSORS = {"accel": "Accelerometer", "gyro": "Gyro", "elevation": "Elevation"}
@@ -109,16 +106,6 @@ def _temperature(one: ChannelNoise) -> Iterator[str]:
 
 
 COEFFICIENTS = ("quantisation", "white", "flicker", "random_walk", "ramp")
-
-
-def report(
-    channels: dict[str, FloatArray],
-    time_s: FloatArray | None = None,
-    rate_hz: float | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, Any]:
-    """Analyse a log and report what was found; arguments and errors as of `analyse`."""
-    return noise_document(analyse(channels, time_s, rate_hz, progress))
 
 
 def noise_document(noise: Noise) -> dict[str, Any]:

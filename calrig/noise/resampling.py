@@ -6,8 +6,6 @@ missing. No sample is interpolated, since that colours the noise; only a few iso
 by a straight line, so that the log stays in one piece.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -13,8 +13,6 @@ drift makes no comb of them. The ends are tapered (Tukey's window; Harris, Proc.
 4 % of a sinusoid's power against the noise; Hann's window costs 33 %.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

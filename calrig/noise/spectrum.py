@@ -1,7 +1,5 @@
 """Power spectral density by Welch's method, and its slope on a double logarithmic scale."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

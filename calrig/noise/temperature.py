@@ -8,8 +8,6 @@ log's length make it a random walk. The slope is that of least squares; its vari
 of it, averaged over the possible shares and times by their likelihood.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ With σ(τ) = N/√τ, white noise of one-sided density √2·N per √Hz makes 
 annex C): N in °/s·√s is 60·N in °/√h, N in g·√s is 60·9.80665·N in m/s/√h.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Container
 

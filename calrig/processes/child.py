@@ -5,8 +5,6 @@ Imports nothing of calrig: a task brings its own function. A task is 8 bytes of 
 any number of progress values, then `(None, result)` or `(exception, None)`.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import resource

@@ -4,8 +4,6 @@
 carries out one task at a time; cancelling a task ends its process and starts another.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import pickle

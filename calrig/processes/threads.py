@@ -4,8 +4,6 @@ A second thread would spend its time in waiting for the first: on a busy machine
 several times the processor time.
 """
 
-from __future__ import annotations
-
 import os
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

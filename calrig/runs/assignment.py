@@ -1,7 +1,5 @@
 """Describe a run before it is carried out: requested, assigned to a worker, or ordered by a centre."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache

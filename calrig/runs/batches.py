@@ -3,8 +3,6 @@
 Every page shows the same batch, because the service stores it.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

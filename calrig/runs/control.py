@@ -1,7 +1,5 @@
 """Requests to a run in progress, each from another thread: pause, resume, end."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ The lock is held only briefly, because stop requests take it too. A clamp moves 
 never as part of a run.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager

@@ -1,7 +1,5 @@
 """Check by gravity how the unit is clamped on the stage."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

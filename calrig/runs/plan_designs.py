@@ -4,8 +4,6 @@ Earlier runs give the settling time, the precision of readings, and whether the 
 The design itself is pure computation, for a process of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial

@@ -4,8 +4,6 @@ Settling and dwelling are counted on the board's clock. The stage reports its ve
 time is that of the rig's last run. The reference uncertainty limits what sequential stopping can reach.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

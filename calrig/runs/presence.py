@@ -5,13 +5,11 @@ as long as requests for it arrive; a run that starts takes over the open port if
 and evaluation are separate, because a bench checks and its centre evaluates.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from dataclasses import dataclass, field, replace
 from threading import Lock
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -52,12 +50,11 @@ class PresenceStatus:
     serial: str | None
     says: str
 
-    def of_unit(self, unit: str) -> PresenceStatus:
+    def of_unit(self, unit: str) -> Self:
         """The same, where that unit is to be there."""
         if self.serial and self.serial != unit:
-            return PresenceStatus(
-                "wrong", self.serial, f"The board reports serial number {self.serial}, not {unit}."
-            )
+            says = f"The board reports serial number {self.serial}, not {unit}."
+            return replace(self, state="wrong", says=says)
         if self.state != "there":
             return self
         known = f"Board of {unit} detected."

@@ -5,8 +5,6 @@ starts again at 0. The run's time continues by the wall clock from its start, or
 clocks of the rig run faster than real time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

@@ -7,8 +7,6 @@ the position applies to one run, and is stored once gravity confirms it.
 However a run ends, both instruments are closed together and the stage is stopped.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import Counter

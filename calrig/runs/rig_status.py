@@ -1,7 +1,5 @@
 """Report what each rig is doing, without opening a port; also as a bench reports it to its centre."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path

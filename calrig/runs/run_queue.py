@@ -5,8 +5,6 @@ queued are held: after a power cut nothing moves until a user resumes them. Ever
 may have left moving is stopped before its runs are marked.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Run service of this machine: starts runs, one at a time on each rig, and forwards requests to them."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Interface of a run service, for the API: the rigs of this machine, or the benches of a centre."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType

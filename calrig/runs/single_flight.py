@@ -1,7 +1,5 @@
 """Run at most one task per key at a time, each in its own thread; concurrent callers share its result."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future

@@ -1,7 +1,5 @@
 """Stop service: stop a rig's stage at once and report whether standstill was confirmed."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass

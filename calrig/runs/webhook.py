@@ -4,8 +4,6 @@ The signature is `t=SECONDS,v1=HEX`. HEX is the HMAC-SHA256 (RFC 2104) of `SECON
 SECONDS is the Unix time of the try. Redirects are not followed: only the configured address is used.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import http.client

@@ -4,8 +4,6 @@
 outlives the process that started it) or it is terminated or interrupted.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

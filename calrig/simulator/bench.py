@@ -1,7 +1,5 @@
 """One stage with one sensor in its environment, without a serial link: the physics put together."""
 
-from __future__ import annotations
-
 import math
 import threading
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 A packet is type, payload, CRC-16/CCITT-FALSE, all encoded by COBS, and one zero byte.
 """
 
-from __future__ import annotations
-
 import binascii
 import json
 import random
@@ -107,11 +105,6 @@ class Board:
     def interval_s(self) -> float | None:
         """Wall time until it may have more to say; None while it only listens."""
         return BLOCK_INTERVAL_S if self._stream or self._unsaid else None
-
-    @property
-    def streaming(self) -> bool:
-        """Whether samples are being sent."""
-        return self._stream is not None
 
     def opened(self) -> None:
         """Its port was opened, which resets it where it boots."""

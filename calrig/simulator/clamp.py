@@ -1,7 +1,5 @@
 """A motorised dividing head that turns the unit in its clamp: `ID`, and `CLAMP 120.000 x`."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

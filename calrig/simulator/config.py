@@ -1,7 +1,5 @@
 """What a simulated rig is made of: every part of its physics off unless it is asked for, and a seed."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
@@ -316,7 +314,7 @@ class SimulatorSettings(Options):
         return self
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> SimulatorSettings:
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
         """The settings of a rig's `simulated` table, over those of its preset where it names one.
 
         `options` are for example `{"preset": "demo", "seed": 3, "mechanics": {"backlash_deg": 0.2}}`.

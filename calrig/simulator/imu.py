@@ -1,7 +1,5 @@
 """An MPU-6050: vectors in, registers out, through the chip's digital low-pass filters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Starts a simulated rig as a separate process, so that the service knows it by its ports alone."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -42,11 +40,6 @@ class SimulatedProcess:
         self.clamp = clamp
         self.time_scale = time_scale
         self._process = process
-
-    @property
-    def running(self) -> bool:
-        """Whether the process is alive."""
-        return self._process.poll() is None
 
     @property
     def pid(self) -> int:

@@ -1,7 +1,5 @@
 """From the controller's command to the table: motor, backlash, gear, encoder; and how the motor shakes it."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A whole simulated rig in this process: a bench, its devices, and the ports they answer on."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """A board with a public Arduino sketch that prints text: no clock, no commands, real time."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections import deque

@@ -6,8 +6,6 @@ the unmodified sketch on a simulated ATmega328P. The ElectronicCats sketches, an
 two of them, follow the sketch's source.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator

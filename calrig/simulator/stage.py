@@ -3,8 +3,6 @@
 Motion is `mechanics`' business; a dialect says only what its controller says, allows and remembers.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

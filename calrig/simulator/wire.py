@@ -3,8 +3,6 @@
 One thread serves each device, so that no device waits for the reader of another.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import selectors

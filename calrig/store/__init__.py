@@ -28,28 +28,6 @@ if TYPE_CHECKING:
     from calrig.store.sqlite.backup import BackedUp, back_up
     from calrig.store.store import Store
 
-__all__ = [
-    "AcceptedEffect",
-    "Announced",
-    "BackedUp",
-    "CheckUnit",
-    "ComparisonRow",
-    "Event",
-    "NotFound",
-    "RawSamples",
-    "Run",
-    "RunChanges",
-    "SampleBlock",
-    "Store",
-    "StoreDamagedError",
-    "StoreError",
-    "StoreUnavailableError",
-    "StoredPose",
-    "StoredStagePosition",
-    "Unit",
-    "back_up",
-]
-
 _ELSEWHERE = {
     "Announced": "event_log",
     "BackedUp": "sqlite.backup",
@@ -65,7 +43,5 @@ _ELSEWHERE = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = import_module(f"{__name__}.{_ELSEWHERE.get(name, 'records')}")
     return getattr(module, name)

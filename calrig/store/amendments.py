@@ -1,7 +1,5 @@
 """Changes to runs after measurement: voided runs, excluded poses, accepted effects. Each is in the trail."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 

@@ -1,7 +1,5 @@
 """Batches of units: which unit is next, on which rig, and which run each has."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field

@@ -4,8 +4,6 @@ A bench's own file has only `taken_order` and `delivery`. `calrig.store.postgres
 of a bench's role.
 """
 
-from __future__ import annotations
-
 import re
 from datetime import datetime
 from typing import Any

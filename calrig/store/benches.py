@@ -4,8 +4,6 @@ Only the newest epoch of an order counts. A bench takes an order by one statemen
 to write. So the centre also uses one statement where it depends on that: the server lets only one be first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -63,6 +61,36 @@ class Order:
     taken_epoch: int
     is_revoked: bool
     """Whether the bench is, which then says nothing more of the run."""
+
+
+RECENT = timedelta(hours=1)
+"""Commands are for now: one that found nobody days ago is no trouble of today."""
+KEPT = timedelta(days=1)
+"""A command that is older is of no use to anybody."""
+IN_TIME = timedelta(seconds=5)
+"""Within which a bench answers."""
+
+
+class Waiting(NamedTuple):
+    """How many, and the age of the oldest by the database's clock."""
+
+    number: int
+    age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """What waits.
+
+    Attributes:
+        orders: not taken, by bench and rig.
+        parcels: not unpacked, by bench.
+        unanswered: commands within the last hour that their bench did not answer in time, by bench.
+    """
+
+    orders: dict[tuple[str, str], Waiting] = field(default_factory=dict)
+    parcels: dict[str, Waiting] = field(default_factory=dict)
+    unanswered: dict[str, int] = field(default_factory=dict)
 
 
 class Benches(Repository):
@@ -198,36 +226,6 @@ def _bench(row: BenchTable, now: datetime) -> Bench:
     seen = row.last_seen_at
     ago_s = None if seen is None else (now - seen).total_seconds()
     return Bench(row.name, row.hall, seen, ago_s, row.said, refusal(row))
-
-
-RECENT = timedelta(hours=1)
-"""Commands are for now: one that found nobody days ago is no trouble of today."""
-KEPT = timedelta(days=1)
-"""A command that is older is of no use to anybody."""
-IN_TIME = timedelta(seconds=5)
-"""Within which a bench answers."""
-
-
-class Waiting(NamedTuple):
-    """How many, and the age of the oldest by the database's clock."""
-
-    number: int
-    age_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Backlog:
-    """What waits.
-
-    Attributes:
-        orders: not taken, by bench and rig.
-        parcels: not unpacked, by bench.
-        unanswered: commands within the last hour that their bench did not answer in time, by bench.
-    """
-
-    orders: dict[tuple[str, str], Waiting] = field(default_factory=dict)
-    parcels: dict[str, Waiting] = field(default_factory=dict)
-    unanswered: dict[str, int] = field(default_factory=dict)
 
 
 class Orders(Repository):

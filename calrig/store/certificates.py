@@ -1,7 +1,5 @@
 """Certificates as they were issued: number, bytes, hashes, who, when and on what settings."""
 
-from __future__ import annotations
-
 import hashlib
 from datetime import datetime
 from typing import Literal

@@ -1,7 +1,5 @@
 """Checksums of stored values: SQLite detects a page out of order, but not a changed digit."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """Convert between rows of the tables and records."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import math

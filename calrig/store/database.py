@@ -4,8 +4,6 @@ A schema revision is the four digits at the start of its file's name in migratio
 is found without importing Alembic, which is loaded only for a migration.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Open a store with its engine: a SQLite file, or PostgreSQL if many benches share one store."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from sqlalchemy import make_url

@@ -1,7 +1,5 @@
 """Enrol and revoke benches of a centre: a code that works once, and a database role for each bench."""
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Errors of the store. Each message says what to do."""
 
-from __future__ import annotations
-
 
 class StoreError(Exception):
     """The store cannot be used. The message names the file, what happened and what to do."""

@@ -1,7 +1,5 @@
 """Events of runs as published, and transcripts of the ports of failed runs."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime

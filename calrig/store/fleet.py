@@ -3,8 +3,6 @@
 Each piece is a transaction of its own over a range of the poses' key, so that no lock is held between pieces.
 """
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Issued revisions of calibrations: their bytes never change; status, author and reason are stored beside."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Limits, in the order in which they are matched."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from sqlmodel import Session, col, delete, select

@@ -3,8 +3,6 @@
 The checksums of all rows are verified before anything is copied.
 """
 
-from __future__ import annotations
-
 import time
 import zlib
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ Events and their poses come first, then samples, the end of the run last. So a r
 centre is complete there. A parcel describes the run as of its last event.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """Poses and raw samples of runs. The stage map of a run is applied to its poses as they are read."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime

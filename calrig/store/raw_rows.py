@@ -5,8 +5,6 @@ a JSON array without blanks. A document is its stored text, bytes are their SHA-
 has no sign, because SQLite stores none.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

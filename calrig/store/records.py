@@ -1,7 +1,5 @@
 """Records that the store returns and accepts. They do not depend on the tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime

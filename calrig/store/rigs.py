@@ -1,7 +1,5 @@
 """State of rigs that outlives a process: check standards, stage positions, stage maps; summaries of rigs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta

@@ -3,8 +3,6 @@
 A run on a rig stores each pose as it is measured, and must not wait while an import writes row by row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Joint solutions as solved. A stage map is put in force from one, and compared with later ones."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """The store: its repositories over one database."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Self, TypeVar

@@ -1,7 +1,5 @@
 """Audit log (trail): who changed which run, unit or rig, when and why. Entries are only added."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field

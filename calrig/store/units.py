@@ -1,7 +1,5 @@
 """Units: the list, the comparison of their calibrations, and the item as received from the customer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from typing import Any, Literal

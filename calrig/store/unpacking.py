@@ -5,8 +5,6 @@ index, sample blocks by run and their number at the bench. A parcel that cannot 
 later ones of its run; other runs continue.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Users, people and programs: identified by a token, stored as its hash, or by a proxy."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import secrets

@@ -6,8 +6,6 @@ the run's row, with the hash of the program text. Figures of another program tex
 judged from its whole result until this program has written its figures.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

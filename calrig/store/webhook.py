@@ -1,7 +1,5 @@
 """Ends of runs to be reported to another program, stored until delivered or given up."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 

@@ -17,7 +17,8 @@ from calrig.export.formats.kalibr import kalibr
 from calrig.export.formats.px4 import px4
 from calrig.export.formats.vins import vins
 from calrig.export.triads import NotHeldError, accelerometer_of
-from calrig.noise.report import report
+from calrig.noise.analysis import analyse
+from calrig.noise.report import noise_document
 
 G_MPS2 = 9.80665
 STRAIGHT = {"accelerometer": {"bias_g": BIAS_G.tolist(), "matrix": np.diag(np.diag(MATRIX)).tolist()}}
@@ -213,7 +214,7 @@ def noise():
     worse = {"x": 1.0, "y": 1.0, "z": 2.0}
     channels = {f"accel_{a}_g": rng.normal(0.0, 4e-4 * root * k, n) for a, k in worse.items()}
     channels |= {f"gyro_{a}_dps": rng.normal(0.0, 0.004 * root * k, n) for a, k in worse.items()}
-    return report(channels, np.arange(n) / 100.0)
+    return noise_document(analyse(channels, np.arange(n) / 100.0))
 
 
 def test_kalibr_reads_the_noise_of_the_noisiest_axis(noise):

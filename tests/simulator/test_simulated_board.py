@@ -150,7 +150,7 @@ def test_a_reset_board_says_who_it_is_and_streams_no_more():
     board.wait(1.0)
     board.device.reset()
     assert [packet.kind for packet in board.wait(1.0)] == [0x01]
-    assert not board.device.streaming
+    assert board.device.interval_s is None  # it only listens
     board.tell("START 1000")
     assert board.wait(0.5)[-1].sample[1] == 500_000  # its clock began anew
 

@@ -1,7 +1,5 @@
 """Trace the residual of runs to physical effects: search, significance, held-out error, report."""
 
-from __future__ import annotations
-
 from calrig.calibration.diagnosis.experiment_design import FollowUp, SequentialTest, design
 from calrig.calibration.diagnosis.joint_effects import (
     Growth,

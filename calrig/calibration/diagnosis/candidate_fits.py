@@ -7,8 +7,6 @@ one more column, its coefficient the step and its variance the parameter's (Sebe
 Regression, 1989, section 2.1).
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Generator, Sequence

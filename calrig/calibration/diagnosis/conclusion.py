@@ -6,8 +6,6 @@ called noise only if the pure error allows it. The verdict on a run's result is 
 `calrig.calibration.uncertainty.verdict`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

@@ -4,8 +4,6 @@ The noise of the draws is known, so that one orthonormal set of columns serves a
 Econometrica 1, 1933).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

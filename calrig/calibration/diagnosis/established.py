@@ -6,8 +6,6 @@ its coefficients together (Seber & Wild, Nonlinear Regression, 1989, section 5.3
 of a wave at once. Where a document states one size of an effect, that reaches two of its standard errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Poses are chosen by their expected gain in likelihood; the decision is Wald's se
 test.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

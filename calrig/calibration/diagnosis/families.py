@@ -6,8 +6,6 @@ the period k times as well as the first wave does. So a family is refined togeth
 Biometrika 78, 1991, on the frequency of a periodic function).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

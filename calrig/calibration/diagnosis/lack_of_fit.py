@@ -12,8 +12,6 @@ The test takes the whole residual, revisits and all, so that numerator and denom
 and it rejects rather too seldom; tails cost degrees of freedom (Shoemaker, American Statistician 57, 2003).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

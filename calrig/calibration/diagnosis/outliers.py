@@ -11,8 +11,6 @@ together, by a running median (Tukey, Exploratory Data Analysis, 1977): it follo
 of a slip. It sees no end of a pass, where play and settling begin. What comes again at the same angle stays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

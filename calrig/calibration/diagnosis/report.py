@@ -17,8 +17,6 @@ effects and of the final residual add up to 1, also where effects are correlated
 compensate can have a negative one.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

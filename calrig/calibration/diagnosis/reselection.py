@@ -6,8 +6,6 @@ impossible together, or not needed any more, leaves. Forward steps alone keep wh
 explained since.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

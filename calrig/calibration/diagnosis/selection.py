@@ -8,8 +8,6 @@ and hides what steps or drifts. With a free curve for each side in the base, tha
 revisited from one side differ by is no function of the elevation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -7,8 +7,6 @@ takes columns linear about the parameters found, and responses less their nonlin
 ranking and report work with a linear fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

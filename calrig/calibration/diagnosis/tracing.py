@@ -1,7 +1,5 @@
 """The diagnosis: what is left after bias and scale, traced to an effect, with the error before and after."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """The catalogue of physical effects: each module is one, and says all there is to say of it."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pkgutil import iter_modules
 

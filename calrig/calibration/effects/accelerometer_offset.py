@@ -1,7 +1,5 @@
 """Offsets of the accelerometer's two axes: (rad per g) y·cos θ − z·sin θ."""
 
-from __future__ import annotations
-
 from calrig.calibration.regression.effect import (
     ELEVATION,
     Applied,

@@ -1,7 +1,5 @@
 """A y axis too long by its gain, and not square to z: gain/2·sin 2θ and skew·cos² θ."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

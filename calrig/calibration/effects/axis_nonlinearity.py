@@ -5,8 +5,6 @@ polynomial of `nonlinearity`, which is all that such poses tell. An axis that li
 u = a_y + a_z·sin skew_deg, which is the same angle as in `axis_mismatch`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ With ψ = m·cos α and φ = m·sin α its elevation is off by (m²/4)·sin(2θ 
 sensor, nor does the gyro, which turns as it is turned: that parts this from gains and from the stage.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ After a turn the table stands until the motor has come by the whole play. A rig 
 each pose, by going beyond and back, shows all of it after the shortest move.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Another bias of the reading than in the run before, of which the accelerometer knows nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from calrig.calibration.regression.channels import READING

@@ -1,7 +1,5 @@
 """The gyro's own scale error, as far as the filter still shows it in the dwell after a move."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

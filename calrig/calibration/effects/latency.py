@@ -9,8 +9,6 @@ At one constant speed forward and back, a delay is a backlash, but for the few r
 where no real stage turns at once. An order of the turn parts them, if it is strong enough to see it shifted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Another angle of the unit on the stage than in the run before: reading and accelerometer turned alike."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Shape

@@ -5,8 +5,6 @@ they creep with the logarithm of time (Findley, Lai & Onaran, Creep and Relaxati
 Materials, 1976, chapter 5).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A slip of the mount at one instant: between two moves, during one, or in a dwell, whose mean has a part."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An a_y that is not linear, so that the angle is wrong by a polynomial of θ: a_y by that over cos θ."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

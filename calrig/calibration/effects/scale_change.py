@@ -1,7 +1,5 @@
 """Another scale of the angle than in the run before: another stage, or another ratio of its gear."""
 
-from __future__ import annotations
-
 from calrig.calibration.regression.effect import Effect, NotInFlight, Parameter, Shape, Wording
 from calrig.calibration.regression.run_changes import RUN
 from calrig.calibration.regression.terms import turned, turns

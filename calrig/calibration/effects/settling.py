@@ -6,8 +6,6 @@ falls behind by a share of what it turns in the creep's time constant, upward on
 almost a backlash, but that it builds up in the first stretches of each pass and is caught up in the dwell.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A scale or a mount off the stage's axis of rotation: order 1 of the turn at any range of poses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -6,8 +6,6 @@ window: Deeming, Astrophysics and Space Science 36, 1975). An exact grid has suc
 elevations are uneven by the error itself: a wave near the step follows any error, and says nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import lru_cache, partial

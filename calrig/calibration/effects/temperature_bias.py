@@ -3,8 +3,6 @@
 Documents of before version 0.2 know the y axis's own offset as this with `of_axis_y`: applied, found no more.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Gain and skew of the accelerometer's axes that move with temperature."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

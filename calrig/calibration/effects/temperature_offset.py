@@ -1,7 +1,5 @@
 """Offsets of the accelerometer's two axes that move with temperature: each a tempco in mg/°C."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from calrig.calibration.regression.effect import (

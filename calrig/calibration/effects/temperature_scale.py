@@ -1,7 +1,5 @@
 """A scale that follows temperature."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from calrig.calibration.regression.effect import TEMPERATURE, Effect, Parameter, Parameters, Shape

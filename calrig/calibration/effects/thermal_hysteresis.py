@@ -6,8 +6,6 @@ begins. One leg of warming cannot tell this from a curve of temperature or a dri
 temperature came back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

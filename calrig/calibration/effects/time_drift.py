@@ -4,8 +4,6 @@ In one sweep at an even pace time and elevation are one thing. A straight drift 
 and any curve of the elevation may be a drift: then it is called one, with what else it may be.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

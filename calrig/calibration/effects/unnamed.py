@@ -5,8 +5,6 @@ where times are known, its rate and its delay are tried as well, and the product
 in the model.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Compare runs of a unit over time: changes, repeatability, control charts, due dates."""
 
-from __future__ import annotations
-
 from calrig.calibration.histories.between_runs import (
     FALSE_DISCOVERY_RATE,
     Changes,

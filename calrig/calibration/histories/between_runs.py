@@ -3,8 +3,6 @@
 A false discovery rate decides how many of the units tested together count as changed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Control charts for short histories: the mean is learned from the runs, the sprea
 the day on which the forecast of the drift, with its uncertainty, reaches a limit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The standard error of one run covers the noise of its poses alone. Runs between 
 detected first and split the unit, so that they do not inflate the spread.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

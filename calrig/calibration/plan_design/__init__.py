@@ -1,7 +1,5 @@
 """Design the shortest plan that reaches an uncertainty on a rig (CONTRACT section 9)."""
 
-from __future__ import annotations
-
 from calrig.calibration.plan_design.design import ended, limit_s, quickest, within
 from calrig.calibration.plan_design.design_problem import (
     Design,

@@ -1,7 +1,5 @@
 """Find the quickest design that reaches its goals, the best one for a time, and the limit of all designs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

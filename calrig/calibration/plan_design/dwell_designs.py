@@ -1,7 +1,5 @@
 """Designs that stop for every pose."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Lay poses out: dwells or continuous sweeps, in which order, with which precision and in which time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Determine the settling time: until gyro and filter show nothing of the move any more."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

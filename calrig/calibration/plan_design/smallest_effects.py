@@ -1,7 +1,5 @@
 """Compute the smallest effect that a design of poses detects with 80 % power, before anything moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Designs that turn without stopping, where the rig may."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The regression that effects and diagnosis share: channels, responses, noise model, terms of an effect."""
 
-from __future__ import annotations
-
 from calrig.calibration.regression.effect import (
     ORIGINS,
     TEMPERATURE,

@@ -4,8 +4,6 @@ A witness is taken where it was measured: one that says what the reading says, o
 exactly, was not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -14,8 +14,6 @@ correlated noise agree slowly, further steps weigh the lagged products of column
 many responses (`RepeatedSteps`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

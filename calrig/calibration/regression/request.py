@@ -1,7 +1,5 @@
 """What a person knows before a diagnosis: whether the reference may err, and periods of the axis."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

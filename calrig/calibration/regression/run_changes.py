@@ -5,8 +5,6 @@ are searched: what a drift or a warm-up has left behind by the next run is not k
 after that, in a base that has one bias for all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Between its knots such a curve is a cubic, at the end knots it has no curvature,
 straight. A document has the knots and the curve's values there, from which the whole curve follows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

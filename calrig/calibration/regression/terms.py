@@ -5,8 +5,6 @@ the sensor's frame, (0, s, c) at θ = atan2(a_y, a_z): an error δ of a_y and ε
 δ·c − ε·s (rad) and lengthens the vector by δ·s + ε·c.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A run's result, and a calibration applied: bias, scale, effects, errors of indication."""
 
-from __future__ import annotations
-
 from calrig.calibration.results.correction import (
     Application,
     AppliedEffect,

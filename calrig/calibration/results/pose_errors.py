@@ -1,7 +1,5 @@
 """Errors of poses: what a stage, bias and scale, and effects leave of what each reads."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ fit of bias and scale takes readings modulo 360°, so that poses whose readings 
 starts anew (`readings_wrap`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """A run's result as CONTRACT section 2 gives it, from its poses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ with noise that may be correlated from pose to pose. Poses outside the calibrate
 `python -m tests.studies.verifications` counts false alarms and faults found.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

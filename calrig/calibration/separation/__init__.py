@@ -1,7 +1,5 @@
 """Separate the errors of stage, mounts and units by one least squares (CONTRACT section 8)."""
 
-from __future__ import annotations
-
 from calrig.calibration.separation.clamping import FACES
 from calrig.calibration.separation.gravity import calibrate_by_gravity, gravity_document
 from calrig.calibration.separation.map_report import mapped

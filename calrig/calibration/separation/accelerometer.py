@@ -11,8 +11,6 @@ effects of the catalogue state those as `PLANE_NAMES` has them: the gain of z is
 y is relative to it, and the skew is an angle.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

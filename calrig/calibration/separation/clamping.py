@@ -5,8 +5,6 @@ more can be seen than its dip τ. The table turns it about x by φ = dial + map 
 one of the unit's axes along the stage's, but for two small tilts about the other two.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from calrig.estimation.angles import FloatArray

@@ -6,8 +6,6 @@ laid down by hand come in any order, so that an effect's columns are rough, and 
 does not resemble one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

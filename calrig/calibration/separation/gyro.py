@@ -20,8 +20,6 @@ the bias: the other dwells show it, and how long a move lasts by the rotation, t
 is the board's: a clock that is fast by 1 % is a gyro scale that is 1 % off.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

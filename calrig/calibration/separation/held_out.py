@@ -4,8 +4,6 @@ A stretch of a mount's dial is left out in one mount at a time: the unit is then
 it was not seen. Held-out poses between the others would be interpolation (`calibration.blocked_folds`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

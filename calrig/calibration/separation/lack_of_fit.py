@@ -14,8 +14,6 @@ residuals along the vector show it whatever the map is. Windows over the dial ar
 mount's residuals there, with Bonferroni's bound over all windows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

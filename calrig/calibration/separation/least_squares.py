@@ -9,8 +9,6 @@ likelihood, because that of the residuals alone is too small if a model has many
 Thompson, Biometrika 58, 1971).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

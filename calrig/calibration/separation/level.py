@@ -24,8 +24,6 @@ So the calibrated elevation is that of the sensor less λ: that of the case, aga
 (Estler, J. Res. NIST 103, 1998, p. 141; Evans, Hocken & Estler, CIRP Annals 45, 1996, p. 617: reversal.)
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ tested against noise with Bonferroni's bound over all windows. The poses of a re
 and the map's standard deviation there is the largest residual seen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

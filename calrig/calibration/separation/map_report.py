@@ -5,8 +5,6 @@ the same each time, and neither more poses nor another mount average it out. Rep
 distinguish it from noise (pure error: Draper & Smith, Applied Regression Analysis, 1998, section 2.1).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

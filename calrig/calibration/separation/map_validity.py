@@ -5,8 +5,6 @@ its bias, and its curve of errors e(θ) along with it: by e'(θ)·Δ, which is 0
 mg that is remounted by 1°. A day may change its scale. Every other difference is the stage's, or noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 By how much these would help comes from the bound, never from a rule.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -9,8 +9,6 @@ The series then has all orders up to the highest: beside clampings that part the
 its elevation nothing, and what is too small for the gate would bend it all the same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 

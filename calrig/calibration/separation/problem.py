@@ -10,8 +10,6 @@ With each unit's frame its own sensor's, and each mount free to turn, nothing is
 in principle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Write the joint solution as CONTRACT section 8's document, and its pose residuals for figures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

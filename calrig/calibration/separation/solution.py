@@ -1,7 +1,5 @@
 """The joint solution: outliers, the map's orders, the fit, and whether the data part stage and units."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -12,8 +12,6 @@ over a range, or whole where the unit's level is known. For poses only thought o
 bound (Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, section 3.9).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

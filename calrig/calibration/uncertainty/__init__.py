@@ -1,7 +1,5 @@
 """Uncertainty budget, coverage factor, conformity with limits, its risk, and the verdict (GUM, JCGM 106)."""
 
-from __future__ import annotations
-
 from calrig.calibration.uncertainty.budget import places_deg, reference_figures, uncertainty
 from calrig.calibration.uncertainty.conformity import (
     answer_of,

@@ -1,7 +1,5 @@
 """Evaluate the uncertainty of a calibrated elevation (GUM): budget, U, errors over the range."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

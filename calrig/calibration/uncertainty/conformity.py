@@ -6,8 +6,6 @@ accepted. The guarded rule keeps them away from the limit L by w = guard·U, and
 whose uncertainty is unknown is undecided.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

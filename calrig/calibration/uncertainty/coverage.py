@@ -5,8 +5,6 @@ rectangular one: k = 0.95·√3 = 1.65, U = 0.95·a, where 2u = 1.15·a would ex
 (JCGM 100:2008, G.1.3 and 4.3.7). Few poses make it Student's t.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -6,8 +6,6 @@ Errors over a range are correlated, so they are drawn together (JCGM 101:2008, 5
 points that fill the space evenly instead of random ones: equal results have equal risks.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -5,8 +5,6 @@ is therefore stated with care (`cautious`), by one rule for the decision and for
 afterwards. `python -m tests.studies.plans coverage` measures what the stated uncertainties then cover.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ budget and coverage factor give U, conformity the answer, risk its probability, 
 releasing a calibration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ It is checked against its own hashes, its parts (audit trail, list of revisions,
 another, and the numbers of each document against a new fit of the archive's poses by this program.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

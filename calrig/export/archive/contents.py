@@ -3,8 +3,6 @@
 The same members always give the same bytes; a hash of all of them is at the end.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zipfile

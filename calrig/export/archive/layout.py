@@ -1,7 +1,5 @@
 """What is in a unit's archive, by which names, and how large any of it may be."""
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any

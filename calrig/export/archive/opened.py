@@ -1,7 +1,5 @@
 """A zip from anywhere, opened with suspicion: bounded in size, every name one that an archive has."""
 
-from __future__ import annotations
-
 import hashlib
 import stat
 import struct

@@ -4,8 +4,6 @@ The calibration document is the authority: its combined uncertainty, k and U are
 into contributions here. They are computed by `calrig.calibration.uncertainty.budget`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace

@@ -7,8 +7,6 @@ Numbers are rounded as in JCGM 100:2008, 7.2.6: an uncertainty to two digits, it
 from the shortest decimal that is the number, half away from zero.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import date, datetime
 from decimal import ROUND_HALF_UP, Decimal

@@ -1,7 +1,5 @@
 """The content of a certificate, made from what the store has of a revision; pure."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -4,8 +4,6 @@ The errors of the poses are given as found and as left, and step by step; standa
 that the run's provenance states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime

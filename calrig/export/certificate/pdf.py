@@ -1,7 +1,5 @@
 """A certificate as PDF/A-3, by typst, with its data attached: the same bytes for the same content."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """A certificate laid out: sections of plain text as pairs, tables and paragraphs, for a renderer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The sentences of a certificate: method, plan, limits, deviations, statements."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

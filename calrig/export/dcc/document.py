@@ -1,7 +1,5 @@
 """A certificate as a DCC. Every number in it is the certificate's own; nothing is computed here."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from math import isfinite

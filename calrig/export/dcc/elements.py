@@ -1,7 +1,5 @@
 """The elements of a DCC: texts, quantities with units in D-SI's notation, and its administrative data."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Sequence

@@ -5,8 +5,6 @@ choice of `calrig export --format`, the API's parameter, the page's buttons and 
 follow from what is here. What several formats have in common lies beside this folder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module

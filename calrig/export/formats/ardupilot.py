@@ -7,8 +7,6 @@ temperatures held between TMIN and TMAX) and `AP_InertialSensor_Invensense.cpp` 
 y, x, −z). The file: NAME,VALUE, `#` before a comment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

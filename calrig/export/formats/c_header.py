@@ -3,8 +3,6 @@
 The header contains the accelerometer's matrix if there is one, and test vectors for the program that uses it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import textwrap

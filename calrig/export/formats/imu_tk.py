@@ -5,8 +5,6 @@ misalignment T with ones on its diagonal, the scale K diagonal, the bias B; 21 n
 between. Here X and B are in m/s², as in its examples. It reads no further than the numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

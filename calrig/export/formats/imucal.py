@@ -5,8 +5,6 @@ R_g⁻¹·K_g⁻¹·(raw − K_ga·acceleration − b_g), K diagonal; here from 
 no comments: what is to be said, and the test vector, are in its own field `comment`.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

@@ -6,8 +6,6 @@ to scatter by N·√rate. With the Allan deviation's N/√τ and K·√(τ/3) (I
 √2 smaller than a data sheet's one-sided density, and K that K.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

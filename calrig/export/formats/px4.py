@@ -8,8 +8,6 @@ chip's x forward, y left, z up become x forward, y right, z down). The file: "Pa
 QGroundControl's developer guide; the last column is MAVLink's MAV_PARAM_TYPE.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

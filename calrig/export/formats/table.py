@@ -4,8 +4,6 @@ The rows cover the calibrated range: the first and the last lie at its ends or u
 are not wrapped in it; those of another turn are brought into it by whole turns.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

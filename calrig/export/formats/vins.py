@@ -5,8 +5,6 @@ standard deviation of a sample, N·√rate, and acc_w K·√rate; gyr_n and gyr_
 has them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The public sketches that calrig reads: the facts of each; `sketch` says what they mean."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """What every board's driver begins with: a thread that reads the port, and samples that wait to be taken."""
 
-from __future__ import annotations
-
 import logging
 from abc import ABC, abstractmethod
 from collections import Counter

@@ -4,8 +4,6 @@
 the board on its port.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, deque
 from typing import Self

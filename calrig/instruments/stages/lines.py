@@ -1,7 +1,5 @@
 """Lines to and from a stage's controller: whole ones or none, and a stop that nothing can overtake."""
 
-from __future__ import annotations
-
 import math
 import re
 import threading

@@ -5,8 +5,6 @@ until two answers agree, and after a move the controller is queried for the targ
 Commands have no reply: after each one the controller is queried for its error.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import threading

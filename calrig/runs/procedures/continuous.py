@@ -5,8 +5,6 @@ the delay of the stage's reports (`calrig.estimation.turning`). The dwell shows 
 biases the accelerometer (`calrig.calibration.motor_vibration`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Dwell procedure: home, then move, settle and dwell for each pose; a pose is one dwell."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from calrig.model.plan import Plan, PlannedPose

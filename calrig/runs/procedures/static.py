@@ -1,7 +1,5 @@
 """Static procedure: the stage is at rest, and the whole log is stored for noise analysis."""
 
-from __future__ import annotations
-
 from calrig.model.plan import Plan, PlannedPose
 from calrig.runs.acquisition import AcquisitionLoop, block_of
 from calrig.runs.mounting import Mounting

@@ -4,8 +4,6 @@ Its source is the manual (user's manual, section 3) as `../shared/stages.md` nex
 it. No conversation with a real one was recorded: what the manual leaves open is this module's guess.
 """
 
-from __future__ import annotations
-
 import re
 from collections import deque
 from collections.abc import Callable

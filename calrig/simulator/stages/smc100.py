@@ -5,8 +5,6 @@ repository gives it. No conversation with a real one was recorded: what the manu
 module's guess.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from enum import IntEnum

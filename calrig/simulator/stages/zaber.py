@@ -4,8 +4,6 @@
 checksum makes the bytes from the address to itself sum to zero; id and checksum come back where they came.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

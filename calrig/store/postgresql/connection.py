@@ -4,8 +4,6 @@ TCP detects a server or a cable that has gone, but no proxy or NAT that acknowle
 nothing on. The server's own time-outs cannot end a client's wait for an answer that does not arrive.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Generator
 from typing import Any

@@ -1,7 +1,5 @@
 """PostgreSQL database: any number of processes write, one transaction at a time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Messages for errors that PostgreSQL reports, with what to do."""
 
-from __future__ import annotations
-
 import psycopg
 from psycopg import errors
 

@@ -1,7 +1,5 @@
 """Thread that receives notifications of the database (`set_up`) and reconnects after a loss."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

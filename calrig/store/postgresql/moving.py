@@ -1,7 +1,5 @@
 """PostgreSQL as source or target of a move: connected clients, COPY, values that no row may hold."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any, NoReturn

@@ -5,8 +5,6 @@ rights, granted by column. A row-level policy of each table shows a bench only i
 owns the tables and is exempt from the policies.
 """
 
-from __future__ import annotations
-
 import hashlib
 import secrets
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Back up a store, also while it is written to."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path

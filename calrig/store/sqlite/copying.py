@@ -1,7 +1,5 @@
 """Copy a store completely and verified, or not at all; migrate a file after a copy of it is stored."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sqlite3

@@ -1,7 +1,5 @@
 """SQLite file: find it, open it, and run short transactions from many threads."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import threading

@@ -1,7 +1,5 @@
 """Messages for errors that SQLite or the system reports about a store's file, with what to do."""
 
-from __future__ import annotations
-
 import errno
 import shutil
 from pathlib import Path

@@ -3,8 +3,6 @@
 Also finds which file system the file is on, and how it can be read there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sqlite3

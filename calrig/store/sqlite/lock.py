@@ -1,7 +1,5 @@
 """Single writer of a file: an advisory lock beside the database that names its holder."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json

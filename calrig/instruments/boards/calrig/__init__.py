@@ -1,7 +1,5 @@
 """Boards that speak calrig's own packets."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from calrig.instruments.boards.calrig.packets import BAUDRATE, IDENTITY, PacketDecoder

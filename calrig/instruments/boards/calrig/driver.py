@@ -5,8 +5,6 @@ sample packets into samples with a continuous time, and counts and drops damaged
 driver.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections import Counter, deque

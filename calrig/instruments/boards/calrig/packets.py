@@ -1,7 +1,5 @@
 """Bytes of a `calrig` board to whole packets (CONTRACT 3.1): COBS ended by 0x00, CRC-16/CCITT-FALSE."""
 
-from __future__ import annotations
-
 from binascii import crc_hqx
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """What a `calrig` board says of itself, and in words why it sends nothing that can be used."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from typing import Any

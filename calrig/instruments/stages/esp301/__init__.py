@@ -1,7 +1,5 @@
 """Newport ESP301."""
 
-from __future__ import annotations
-
 import re
 
 from calrig.instruments.device import Identity, Probe, StageDevice, opened_by

@@ -8,8 +8,6 @@ No query tells whether the stage was homed since power-up. It counts as not refe
 homed it, in the mode that the stage itself is set up for (`OM`). Error words: the manual's appendix A.
 """
 
-from __future__ import annotations
-
 import re
 from itertools import cycle
 

@@ -1,7 +1,5 @@
 """GRBL 1.1."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from calrig.instruments.device import Identity, Probe, StageDevice, opened_by

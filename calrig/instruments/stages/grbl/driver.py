@@ -20,8 +20,6 @@ arrived there. As recorded from its firmware, GRBL 1.1 keeps these words:
 Units and distance mode go with every line, so that nothing set before changes how a move is read.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import threading

@@ -5,8 +5,6 @@
 before the listing is the command's own, and an earlier one, late or doubled, is ignored.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Messages of GRBL 1.1: reports taken apart, alarms and errors in words (gnea/grbl, doc/csv)."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

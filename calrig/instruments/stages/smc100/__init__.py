@@ -1,7 +1,5 @@
 """Newport SMC100."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ again, a different query, the fence, is sent and answered: the controller replie
 reply has come by then. State and error words are those of the manual's commands TS and TE.
 """
 
-from __future__ import annotations
-
 import re
 
 from calrig.instruments.cancellation import raise_if_cancelled

@@ -1,7 +1,5 @@
 """Zaber rotary stages."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

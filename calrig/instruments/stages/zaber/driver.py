@@ -7,8 +7,6 @@ native ones: how many there are in a turn the controller itself says (`limit.cyc
 database has to be asked.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import threading

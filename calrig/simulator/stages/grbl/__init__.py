@@ -10,8 +10,6 @@ not know. Time is what the clock that it is given says. Opening a pseudo-termina
 does. The switch that it homes to acts in homing alone; `set_limit_switch` closes one at any time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What GRBL keeps without power: settings, work offsets, startup lines, build information (settings.c)."""
 
-from __future__ import annotations
-
 from calrig.simulator.config import StageOptions
 from calrig.simulator.stages.grbl.gcode import Refusal
 

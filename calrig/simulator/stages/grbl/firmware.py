@@ -4,8 +4,6 @@ The main loop is a generator: it yields the instant until which it has nothing t
 when a byte has come. What acts at once only sets a flag; the loop looks at the flags where the firmware does.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Generator

@@ -4,8 +4,6 @@ A line is parsed into a `Block` or refused whole; nothing of a refused one stays
 is refused as unsupported, since no probe is wired; an arc is checked and then taken as its chord.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ axis's acceleration. The steps of the next `AHEAD_S` are already on their way: s
 brake, and so much earlier a block makes room for the next.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What GRBL says, in its two generations: 1.1 in bars and numbers, 0.9 in commas and words (report.c)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
