@@ -313,8 +313,8 @@ def is_of_rounding(r: Responses, residual_deg: FloatArray) -> bool:
     not rounded: the stage was moved until they changed.
     """
     rounded = _step_of_readings_deg(r) ** 2 / 12.0
-    off = abs(float(np.mean(residual_deg**2)) - rounded)
-    return len(r.channels) == 1 and off <= STANDARD_ERRORS / 2.0 * math.sqrt(0.8 / len(r)) * rounded
+    off = abs(float(np.mean(residual_deg**2)) - rounded)  # of which 0.8/n is the relative variance
+    return len(r.channels) == 1 and off <= STANDARD_ERRORS * math.sqrt(0.8 / len(r)) * rounded
 
 
 @lru_cache(maxsize=8)
