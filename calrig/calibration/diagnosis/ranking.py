@@ -326,8 +326,12 @@ def _ranked(
     moved = [k for k, c in enumerate(shortlist) if _has_place(c)]
     for k, one in zip(moved, refined(r, accepted, [shortlist[k] for k in moved]), strict=True):
         shortlist[k] = one.candidate
-    if shortlist and moved[:1] != [0]:
-        shortlist[0] = at_best_place(r, accepted, shortlist[0])
+    gains = [float(ratios[i]) - bic_penalty * offered[i].parameters for i in order[:SHORTLIST]]
+    for k, gain in enumerate(gains):
+        # far behind between two places scanned, a kink may be the best where it is
+        may_lead = not shortlist[k].named and gain > max(SURPASSED_SHARE * gains[0], 0.0)
+        if (k == 0 or may_lead) and k not in moved:
+            shortlist[k] = at_best_place(r, accepted, shortlist[k])
     ranked = []
     for c, (criterion, own) in zip(shortlist, fitted_beside(r, accepted, shortlist), strict=True):
         penalised = criterion + bic_penalty * c.parameters

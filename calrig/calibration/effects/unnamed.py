@@ -224,7 +224,11 @@ ALIKE_NEARBY = 0.25
 """Correlation of what poses have next to each other, beyond which it follows the place, and is no error."""
 WAVE_BY_SIDE = "wave, by side"
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
-PLACES = np.linspace(0.06, 0.94, 23)
+KINK, STEP, OF_THE_STAGE = "kink", "step", ", of the stage"
+PLACES, NEARBY = np.linspace(0.06, 0.94, 23), 0.06
+"""Quantiles of a column that are scanned for a kink or step; how far about the best it is refined."""
+FINE, GAPS = 1e-4, 9
+"""Of that stretch, to which a kink is placed; gaps within it that are tried for a step at once."""
 FEWEST_VALUES = 8
 FEWEST_PLACES, MOST_PLACES, VISITS, ONE_OF_FEW = 4, 12, 4, 0.1
 """Places of a curve that may have any value at each, the fewest poses to each, and how near these are to each
@@ -239,18 +243,18 @@ Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
 def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
     """Return every covariate's flexible shapes; whoever knows the place of one takes the nearest."""
     if turns(r):
-        yield from _of_elevation(r)
+        yield from _of_elevation(r, at)
         of_turn = [TURN_DEG] if goes_round(r) else []
         for period_deg in [at["period"]] if "period" in at else [*r.known_periods_deg, *of_turn]:
             yield from waves_by_side(r, period_deg)
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
-        yield from _of_one(r.temperature_c, "temperature_c", tilted)
+        yield from _of_one(r.temperature_c, "temperature_c", tilted, at)
     for name, column in r.covariates.items():
         if is_circle(name) and covered(column) >= LEAST_ARC_DEG:
             yield replace(_shape(tilted(circle(column, 1)), name, CIRCLE), at={"period": 360.0})
             yield replace(_shape(tilted(circle(column, 2)), name, CIRCLE_2), at={"period": 360.0})
         yield _shape(tilted(standardised(column)), name, "linear")
-        yield from _of_one(column, name, tilted)
+        yield from _of_one(column, name, tilted, at)
         yield from _in_time(r, name, at)
         if ANGLE in r.channels:
             yield from _of_the_reading(column, name)
@@ -263,9 +267,9 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
             yield from _cycles(r, r.time_s)
 
 
-def _of_elevation(r: Responses) -> Iterator[Shape]:
+def _of_elevation(r: Responses, at: Parameters) -> Iterator[Shape]:
     """Curves of the elevation, the same or not from both sides, and those that the stage itself makes."""
-    yield from _of_one(r.theta_deg, "target_deg", tilted, has_knots=r.reference_is_good)
+    yield from _of_one(r.theta_deg, "target_deg", tilted, at, has_knots=r.reference_is_good)
     places = _places(r.theta_deg)
     more = [count for count in MORE_KNOTS if len(r) >= POSES_A_KNOT * count and places > count + 1]
     for count in more:
@@ -289,8 +293,8 @@ def _of_elevation(r: Responses) -> Iterator[Shape]:
         yield _shape(turned(r, alternating), "target_deg", ALTERNATING, {"period": 2.0 * spacing})
     if MOVE in r.channels:  # without a gyro to feel it, a stage's shape is the same thing again
         of_stage = partial(turned, r)
-        stage = _of_one(r.theta_deg, "target_deg", of_stage, has_knots=r.reference_is_good)
-        yield from (replace(shape, form=f"{shape.form}, of the stage") for shape in stage)
+        stage = _of_one(r.theta_deg, "target_deg", of_stage, at, has_knots=r.reference_is_good)
+        yield from (replace(shape, form=f"{shape.form}{OF_THE_STAGE}") for shape in stage)
 
 
 def waves_by_side(r: Responses, period_deg: float) -> Iterator[Shape]:
@@ -349,17 +353,63 @@ def _smooth(z: FloatArray, pieces: int, name: str, seen_by: Shares, *, has_knots
     return replace(shape, knots=tuple(curves.at.tolist())) if has_knots else shape
 
 
-def _of_one(z: FloatArray, name: str, seen_by: Shares, *, has_knots: bool = False) -> Iterator[Shape]:
+def _of_one(
+    z: FloatArray, name: str, seen_by: Shares, at: Parameters, *, has_knots: bool = False
+) -> Iterator[Shape]:
     few = few_places(z) if name == "target_deg" else None
     places = _places(z) if few is None else int(few.max()) + 1
     for count in _counts(places):
         yield _smooth(z, count, name, seen_by, has_knots=has_knots)
     if places < FEWEST_VALUES:
         return
-    for place in np.unique(np.quantile(z, PLACES)):
-        at = {"at": float(place)}
-        yield _of_function(partial(_kink, place=place, span=np.ptp(z)), z, name, "kink", seen_by, at)
-        yield _of_function(partial(_step, place=place), z, name, "step", seen_by, at)
+    scanned = np.unique(np.quantile(z, PLACES)).tolist()
+    if "at" in at and "period" not in at:  # a circle's is where it is largest
+        scanned = [at["at"]]
+    for place in scanned:
+        here = {"at": place, "span": at.get("span", float(np.ptp(z)))}
+        yield from (_at_place(z, name, form, seen_by, here) for form in (KINK, STEP))
+
+
+def _at_place(z: FloatArray, name: str, form: str, seen_by: Shares, at: Parameters) -> Shape:
+    place, is_kink = at["at"], form.startswith(KINK)
+    f = partial(_kink, place=place, span=at["span"]) if is_kink else partial(_step, place=place)
+    return _of_function(f, z, name, form, seen_by, at)
+
+
+def _refine(r: Responses, shape: Shape, criterion: Callable[[Shape], float]) -> Shape | None:
+    """Return a kink where it is likeliest near the place scanned; a step in the middle of such a gap."""
+    if not shape.form.startswith((KINK, STEP)):
+        return None
+    z = {ELEVATION.name: r.theta_deg, "temperature_c": r.temperature_c, **r.covariates}[shape.covariate]
+    assert z is not None  # noqa: S101 (the shape is one of it)
+    seen_by = partial(turned, r) if shape.form.endswith(OF_THE_STAGE) else tilted
+
+    def at(place: float) -> Shape:  # of the span of all poses, in a fold too
+        return _at_place(z, shape.covariate, shape.form, seen_by, {**shape.at, "at": float(place)})
+
+    of_at = np.array([(z < shape.at["at"]).mean() - NEARBY, (z <= shape.at["at"]).mean() + NEARBY])
+    low, high = np.quantile(z, np.clip(of_at, PLACES[0], PLACES[-1])).tolist()
+    if low == high:  # nearly all poses have one value
+        return None
+    if shape.form.startswith(KINK):
+        from scipy.optimize import minimize_scalar
+
+        found = minimize_scalar(
+            lambda place: criterion(at(place)),
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": FINE * (high - low)},
+        )
+        return min(at(shape.at["at"]), at(found.x), key=criterion)
+    values = np.unique(z)
+    gaps = (values[1:] + values[:-1]) / 2.0
+    gaps = gaps[np.searchsorted(values, low, "right") - 1 : np.searchsorted(values, high)]
+    while len(gaps) > 1:
+        tried = np.unique(np.linspace(0, len(gaps) - 1, GAPS).round().astype(int))
+        best = int(np.argmin([criterion(at(gaps[k])) for k in tried]))
+        ends = np.concatenate([[-1], tried, [len(gaps)]])
+        gaps = gaps[ends[best] + 1 : ends[best + 2]]
+    return at(gaps[0])
 
 
 def _of_function(
@@ -450,7 +500,7 @@ def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documen
     columns, sized = shape.shares[READING], shape
     if shape.covariate == ELEVATION.name and shape.form.startswith("smooth"):
         sized = replace(shape, shares={READING: bent_columns(columns)})  # a straight line is bias and scale
-    if shape.covariate == ELEVATION.name and shape.form == "kink":  # off the line from end to end
+    if shape.covariate == ELEVATION.name and shape.form == KINK:  # off the line from end to end
         sized = replace(shape, shares={READING: columns * (1.0 - columns.max())})
     found: Documents = {"size_deg": size_deg(sized, beta, covariance), "period": None, "at": None}
     if shape.form == CIRCLE:
@@ -523,6 +573,7 @@ EFFECT = Effect(
     formula="a smooth curve, kink, step or cycle that no effect of the catalogue explains; of the angle, "
     "with a good reference, the natural cubic spline with the values curve_K_deg at θ = knot_K_deg",
     forms=_forms,
+    refine=_refine,
     on_reading_deg=lambda p: _curve(p.parameters)(p.theta_deg),
     in_c=lambda parameters: _curve(parameters).in_c(),
     reported=_reported,
