@@ -208,8 +208,14 @@ def at_its_elevations(r: Responses, candidate: Candidate) -> Candidate:
 
 
 def candidates_of(r: Responses) -> list[Candidate]:
-    """Return every candidate that these poses can show, those without a name last."""
-    effects = sorted(EFFECTS.values(), key=lambda effect: effect.name == UNNAMED)
+    """Return every candidate that these poses can show, those without a name last.
+
+    Of two that fit alike the first leads: of a sensor that shows no accelerometer, not that of its axes.
+    """
+    has_axes = ANGLE in r.channels or not r.reference_is_good
+    effects = sorted(
+        EFFECTS.values(), key=lambda e: (e.name == UNNAMED, e.on_vector_g is not None and not has_axes)
+    )
     found = [
         candidate_of(r, effect, shape)
         for effect in effects
