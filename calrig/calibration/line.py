@@ -210,12 +210,12 @@ def cut_above_deg(target_deg: FloatArray, reading_deg: FloatArray) -> float | No
     better = len(target_deg) * math.log(as_written / cut)
     steps_deg, cut_steps_deg = np.abs(np.diff(target_deg)), np.abs(np.diff(cut_deg))
     is_over, is_usual = steps_deg > HALF_TURN_DEG, (steps_deg > 0.0) & (steps_deg <= HALF_TURN_DEG)
-    goes_on = (
-        is_over.any()
-        and is_usual.any()
-        and cut_steps_deg[is_over].min() <= 2.0 * float(np.median(steps_deg[is_usual])) <= HOLE_DEG
-    )
-    return float(known[hole]) if better > (-DECISIVE if goes_on else DECISIVE) else None
+    is_going_on = False
+    if is_over.any() and is_usual.any():
+        least_deg, usual_deg = np.quantile(steps_deg[is_usual], (0.0, 0.5)).tolist()
+        is_sweep = usual_deg <= 1.5 * least_deg  # of rows in random order any step may be small
+        is_going_on = is_sweep and float(cut_steps_deg[is_over].min()) <= 2.0 * usual_deg
+    return float(known[hole]) if better > (-DECISIVE if is_going_on else DECISIVE) else None
 
 
 def off_robust_line_deg(theta_deg: FloatArray, value_deg: FloatArray) -> FloatArray:

@@ -163,7 +163,7 @@ def _attribute(column: str) -> str:
 SAME = 1.0 - 1e-6
 """Columns correlated beyond this are one column."""
 ERROR, ROUNDED_TO = "the reading less the elevation", 0.05
-"""What loggers write beside these, with either sign or none; and to what share of its range it is rounded."""
+"""What loggers write beside these, with either sign or none; what share of its range rounding may be."""
 FOLLOWS, MOST_OFF_DEG = 0.999, 90.0
 """Correlation beyond which a column is another measurement of the elevation, counted on over turns: as an
 influence quantity it would take the place of the scale. Of an angle it is within so much of the elevation.
@@ -248,7 +248,8 @@ def covariates_of(
             continue
         twin = next((other for other, known in taken.items() if same(column, known)), None)
         off_deg = np.abs(column) - np.abs(taken[ERROR])
-        if twin is None and np.abs(off_deg).max() <= ROUNDED_TO * np.ptp(taken[ERROR]):
+        low, high = np.quantile(taken[ERROR], (0.1, 0.9))
+        if twin is None and np.abs(off_deg).max() <= ROUNDED_TO * (high - low):
             twin = ERROR
         if twin is not None:
             warnings.append(f"column {name} says the same as {twin}: it was not used")

@@ -310,27 +310,24 @@ def _misspelling(text: str, name: str) -> int:
     Of an axis, `ax_g` and `x (g)` are 0 away from `accel_x_g`. Another digit is another sensor, and far away.
     """
     written = _BRACKETS.fullmatch(text)
-    bare, unit = (
-        (normalised(text), None) if written is None else (normalised(written[1]), unit_of_text(written[2]))
-    )
+    bare = normalised(text if written is None else written[1])
+    short, unit = stem_and_unit(bare)
+    if written is not None:
+        unit = unit_of_text(written[2])
     stem, unit_of_name = stem_and_unit(name)
-    if bare in {name, stem}:
+    is_axis = stem[-2:] in {"_x", "_y", "_z"} and unit in {None, unit_of_name}
+    is_alone = unit is not None and short == stem[-1]
+    if bare in {name, stem} or (is_axis and (is_alone or _abbreviates(short, stem))):
         return 0
-    if stem[-2:] in {"_x", "_y", "_z"}:
-        if bare == stem[-1] and unit is not None and unit == unit_of_name:
-            return 0
-        letters = iter(
-            stem
-        )  # an abbreviation has some of them, in their order, the first and the last among them
-        short = stem_and_unit(bare)[0]
-        if (
-            len(short) > 1
-            and (short[0], short[-1]) == (stem[0], stem[-1])
-            and all(c in letters for c in short)
-        ):
-            return 0
     has_other_digits = re.sub(r"\D", "", bare) != re.sub(r"\D", "", name)
     return len(name) if has_other_digits or abs(len(bare) - len(name)) > 3 else _distance(bare, name)
+
+
+def _abbreviates(short: str, stem: str) -> bool:
+    """Whether a text has some of a name's letters in their order, the first and the last among them."""
+    letters = iter(stem)
+    ends = len(short) > 1 and (short[0], short[-1]) == (stem[0], stem[-1])
+    return ends and all(letter in letters for letter in short)
 
 
 def _distance(a: str, b: str) -> int:

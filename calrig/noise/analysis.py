@@ -9,7 +9,7 @@ import numpy as np
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.noise.allan import KINDS, AllanCurve, allan_curve, variance_of
 from calrig.noise.coefficients import Coefficients, coefficients
-from calrig.noise.distribution import Distribution, distribution_of, knocks_in
+from calrig.noise.distribution import Distribution, distribution_of, knocks_of
 from calrig.noise.resampling import UniformLog, uniform_log
 from calrig.noise.spectral_lines import Line, find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
@@ -154,7 +154,8 @@ class Noise:
         duration_s: of the log, gaps included.
         gaps: how often samples were missing.
         not_finite: samples left out since one of their values was not known.
-        notes: what was done to put the log's samples on a uniform grid, and whether the sensor moved.
+        notes: which knocks were left out, what was done to put the samples on a uniform grid, and whether
+            the sensor moved.
         channels: by name; the log's in its order, then `elevation_deg`.
     """
 
@@ -186,7 +187,7 @@ def analyse(
     Raises:
         ValueError: there is no rate or no sample; says what to do.
     """
-    knocks = {name: found for name, values in channels.items() if (found := knocks_in(values))}
+    knocks = knocks_of(channels)
     log = uniform_log(channels, time_s, rate_hz, [one for found in knocks.values() for one in found])
     axes = accelerometer_channels(log.channels)
     names = [*log.channels, *([ELEVATION] if axes else [])]

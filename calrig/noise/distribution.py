@@ -271,6 +271,20 @@ make up more of the log.
 """
 
 
+def knocks_of(channels: dict[str, FloatArray]) -> dict[str, list[slice]]:
+    """Return the knocks of each channel (N,) that has some; none where they are too many for the whole log.
+
+    What is left out of one channel is left out of all.
+    """
+    knocks = {name: found for name, values in channels.items() if (found := knocks_in(values))}
+    left_out = np.zeros(len(next(iter(channels.values()), ())), dtype=np.bool_)
+    for one in (one for found in knocks.values() for one in found):
+        left_out[one] = True
+    stretches = np.count_nonzero(np.diff(left_out, prepend=False)) / 2.0
+    few = stretches <= MOST_KNOCKS and left_out.sum() <= MOST_KNOCKED * len(left_out)
+    return knocks if few else {}
+
+
 def knocks_in(x: FloatArray) -> list[slice]:
     """Return the few stretches that rule a log's Allan deviation and say nothing of its noise, as of a knock.
 

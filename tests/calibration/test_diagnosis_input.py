@@ -251,7 +251,7 @@ def test_of_two_identical_columns_one_is_accused_and_the_other_said_to_be_the_sa
     "of_error", [lambda e: e, lambda e: -e, lambda e: np.round(e, 2), np.abs, lambda e: e / 3.6]
 )
 def test_a_column_of_errors_that_a_logger_wrote_is_no_cause(of_error) -> None:
-    poses = run_of(sweeps())
+    poses = [replace(p, reading_deg=p.reading_deg - 0.8) for p in run_of(sweeps())]  # errors of either sign
     errors_deg = np.array([p.reading_deg - p.target_deg for p in poses])
     said = told(with_column(poses, "error", of_error(errors_deg)))
     assert any("error says the same as the reading less the elevation" in said_ for said_ in said["warnings"])

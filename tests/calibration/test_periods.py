@@ -74,19 +74,39 @@ def test_a_sensor_over_its_own_turn_has_its_orders_wherever_the_table_begins(fir
         assert abs(amplitude["value"] - amplitudes_deg.get(order, 0.0)) < 3.0 * amplitude["std"]
 
 
-@pytest.mark.parametrize("phase_deg", [200.0, 20.0, 110.0])
-def test_rounding_of_the_readings_is_no_period_of_the_axis(phase_deg):
+@pytest.mark.parametrize(("phase_deg", "decimals"), [(200.0, 9), (200.0, 4), (20.0, 4), (110.0, 2)])
+def test_rounding_of_the_readings_is_no_period_of_the_axis(phase_deg, decimals):
     """At even poses errors of whole counts are waves, each many standard errors large."""
     there_deg = np.arange(0.0, 360.0, 5.0)
     targets_deg = np.concatenate([there_deg, there_deg[::-1]])
     count_deg = 360.0 / 512.0
     once_deg = 0.8 * np.sin(np.radians(targets_deg + phase_deg))
     readings_deg = count_deg * np.round((targets_deg + once_deg) / count_deg)
-    poses = posed(target_deg=targets_deg, reading_deg=readings_deg, time_s=3.0 * np.arange(144))
+    printed_deg = readings_deg.round(decimals)
+    poses = posed(target_deg=targets_deg, reading_deg=printed_deg, time_s=3.0 * np.arange(144))
     request = DiagnosisRequest("good")
     found = document(diagnose([poses], request=request, bootstraps=199, cross_fit=False), ["a table"])
     assert len(found["effects"]) == 1
     assert found["effects"][0]["name"] != "stage_periodic"
+
+
+def test_a_temperature_is_found_in_readings_rounded_as_coarsely():
+    """A drift of 0.04° beside readings printed to 0.1°."""
+    rng = np.random.default_rng(3)
+    targets_deg, celsius = np.tile(np.arange(-60.0, 61.0, 5.0), 8), np.linspace(20.0, 40.0, 200)
+    readings_deg = (targets_deg + 0.003 * (celsius - 30.0) + rng.normal(0.0, 0.02, 200)).round(1)
+    poses = posed(target_deg=targets_deg, reading_deg=readings_deg, temperature_c=celsius)
+    assert any(e["covariate"] == "temperature_c" for e in effects_in(poses))
+
+
+@pytest.mark.parametrize("jitter_deg", one_now([0.5, 0.6]))
+def test_jitter_carries_a_worm_from_either_side(jitter_deg):
+    rng = np.random.default_rng(8)
+    up_deg = np.arange(-60.0, 60.1, 5.0)
+    targets_deg = np.tile(np.concatenate([up_deg, up_deg[::-1]]), 2)
+    targets_deg += rng.uniform(-jitter_deg, jitter_deg, len(targets_deg))
+    (effect,) = effects_in(measured(targets_deg, [(7.2, 0.2, 0.0)], rng, seconds_a_pose=4.0))
+    assert effect["parameters"]["period_deg"]["value"] == pytest.approx(7.2, rel=0.01)
 
 
 def turned_once(rng, *, over_deg=360.0):

@@ -346,7 +346,7 @@ def test_a_log_names_the_nearest_channel_where_it_has_none(names, meant):
     assert meant in str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["x", "y (mm)", "axle", "tilt_x", "index"])
+@pytest.mark.parametrize("name", ["x", "y (mm)", "axle", "tilt_x", "index", "az_deg", "Az [°]", "gx_v"])
 def test_a_name_that_only_shares_a_letter_with_a_channel_asks_nothing(name):
     _, _, said, _ = read_run(f"target_deg,reading_deg,{name}\n1,2,20\n".encode(), "A")
     assert said == []

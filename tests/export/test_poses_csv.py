@@ -364,6 +364,16 @@ def test_rows_that_go_on_over_0_are_of_one_arc_where_no_line_says_so():
         pytest.param(np.concatenate([np.arange(31.0), np.arange(330.0, 361.0)]), 1.02, id="moved-to-330"),
         pytest.param(np.concatenate([np.arange(31.0), np.arange(330.0, 361.0)]), 1.0, id="as-good"),
         pytest.param(np.arange(0.0, 360.0, 5.0), 1.02, id="full-turn"),
+        *(
+            pytest.param(
+                np.random.default_rng(seed).permutation(
+                    np.concatenate([np.arange(0.0, 101.0, 10.0), np.arange(260.0, 351.0, 10.0)])
+                ),
+                1.0,
+                id=f"random-order-{seed}",
+            )
+            for seed in range(4)
+        ),
         pytest.param(np.append(np.arange(0.0, 31.0), np.arange(690.0, 720.0)), 1.02, id="several-turns"),
         pytest.param(np.array([5.0]), 1.02, id="one-pose"),
     ],

@@ -353,6 +353,8 @@ def not_predictive(
         whole: the fit of them all.
         offered: candidates of these poses; a shape without a name among them becomes the rival.
     """
+    if not found:
+        return ()
     accepted = tuple(f.candidate for f in found)
     folds, model = _folds(r), fitted_model(r, accepted)
     own = own_columns(model.columns, accepted)

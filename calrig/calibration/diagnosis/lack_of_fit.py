@@ -20,6 +20,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calrig.calibration.effects.stage_periodic import step_deg
 from calrig.calibration.effects.unnamed import MORE_KNOTS, POSES_A_KNOT, VISITS, few_places
 from calrig.calibration.poses import Pose
 from calrig.calibration.regression.motion import approach_of
@@ -36,8 +37,8 @@ WANDERS = 1.5
 SEVERAL = 2.0
 """Times the pure error: a residual as large is spoken of also where few poses let no test reject."""
 SAME_TARGET_DEG = 0.05
-SAME_READING_DEG, OF_A_STEP = 1e-9, 1e-3
-"""Readings closer than this are one but for arithmetic; to what share of the least step steps are printed."""
+MOST_DECIMALS, OF_PRINTED = 6, 10.0
+"""Of readings; and of the step that they are printed to, what the steps of counts exceed."""
 FEWEST_FREEDOM = 8.0
 VON_NEUMANN_EFFICIENCY = 2.0 / 3.0
 """Of successive differences, as an estimate of variance, over the variance itself."""
@@ -306,7 +307,7 @@ def leaves_more(r: Responses, residual_deg: FloatArray) -> bool:
 
 
 def is_of_rounding(r: Responses, residual_deg: FloatArray) -> bool:
-    """Return whether residuals (n,) are as large as what rounding the readings leaves.
+    """Return whether residuals (n,) at evenly spaced poses are as large as what rounding the readings leaves.
 
     The errors of a reading to whole counts, ±q/2, have a mean square of q²/12 (GUM F.2.2.1). At even poses
     they are waves themselves, of which each is certain, and none is of the axis. Readings that leave less are
@@ -314,21 +315,27 @@ def is_of_rounding(r: Responses, residual_deg: FloatArray) -> bool:
     """
     rounded = _step_of_readings_deg(r) ** 2 / 12.0
     off = abs(float(np.mean(residual_deg**2)) - rounded)  # of which 0.8/n is the relative variance
-    return len(r.channels) == 1 and off <= STANDARD_ERRORS * math.sqrt(0.8 / len(r)) * rounded
+    is_as_large = off <= min(STANDARD_ERRORS * math.sqrt(0.8 / len(r)), 0.5) * rounded
+    return len(r.channels) == 1 and is_as_large and step_deg(r) is not None
 
 
 @lru_cache(maxsize=8)
 def _step_of_readings_deg(r: Responses) -> float:
-    """Return the step that all readings are multiples of apart, next to none where they are not rounded."""
-    steps_deg = np.diff(np.unique(r.theta_deg + r.values[:, 0]))
-    steps_deg = steps_deg[steps_deg > SAME_READING_DEG]
-    least_deg = OF_A_STEP * float(steps_deg.min(initial=np.inf))
+    """Return the step that all readings are multiples of apart, as exactly as they are printed."""
+    readings = np.unique((r.theta_deg + r.values[:, 0]).round(MOST_DECIMALS))
+    off = (np.abs(readings - readings.round(n)).max() for n in range(MOST_DECIMALS))
+    printed_deg = 10.0 ** -next((n for n, one in enumerate(off) if one < 0.1**MOST_DECIMALS), MOST_DECIMALS)
+    steps_deg = np.diff(readings)
 
-    def in_both_deg(
-        one_deg: float, other_deg: float
-    ) -> float:  # Euclid's, to what a printed number is rounded to
-        while other_deg > least_deg:
+    def common_deg(one_deg: float, other_deg: float) -> float:  # Euclid's
+        while other_deg > OF_PRINTED * printed_deg:
             one_deg, other_deg = other_deg, abs(one_deg - other_deg * round(one_deg / other_deg))
         return one_deg
 
-    return reduce(in_both_deg, steps_deg.tolist(), 0.0)
+    count_deg = reduce(common_deg, steps_deg.tolist(), 0.0)
+    if count_deg == 0.0:
+        return printed_deg
+    counts = np.rint(steps_deg / count_deg)
+    count_deg = float(steps_deg.sum() / counts.sum())
+    is_grid = np.abs(steps_deg - counts * count_deg).max() <= 2.0 * printed_deg
+    return count_deg if is_grid else printed_deg

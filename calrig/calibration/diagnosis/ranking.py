@@ -328,7 +328,7 @@ def _ranked(
         shortlist[k] = one.candidate
     gains = [float(ratios[i]) - bic_penalty * offered[i].parameters for i in order[:SHORTLIST]]
     for k, gain in enumerate(gains):
-        # far behind between two places scanned, a kink may be the best where it is
+        # a kink at the nearest place scanned may be far behind, and the best where it really is
         may_lead = not shortlist[k].named and gain > max(SURPASSED_SHARE * gains[0], 0.0)
         if (k == 0 or may_lead) and k not in moved:
             shortlist[k] = at_best_place(r, accepted, shortlist[k])

@@ -234,6 +234,12 @@ def is_of_the_curve(candidate: Candidate) -> bool:
     )
 
 
+def _is_of_poses_alone(candidate: Candidate) -> bool:
+    """Return whether a candidate is a function of the elevation, or cycles along the rows."""
+    of = {member.covariate for member in candidate.members}
+    return of <= {ELEVATION.name} or (of == {"time_s"} and "period" in candidate.shape.at)
+
+
 LEVEL, AT_FIRST = 0.01, 0.75
 """Family-wise significance level of a search; the share of it spent before a search with free curves."""
 MOST_CAUSES, IN_A_FOLD, MOST_COLUMNS = 8, 12, 0.35
@@ -430,6 +436,8 @@ class _Judge:
             trial = None
         else:
             those, trial = [c for c in earlier.candidates if c.label not in self.refused], earlier.trial
+        if is_of_rounding(seen, model.fitted.residuals[:, 0]):
+            those = [c for c in those if not _is_of_poses_alone(c)]
         verdict = self.judge(
             seen,
             columns_with,
@@ -483,7 +491,6 @@ def _search(
         if not len(apart):
             met.add(state)
             is_full = _is_full(r, accepted, len(known), MOST_CAUSES if rivals is None else IN_A_FOLD)
-            is_full |= _leaves_rounding(r, accepted)
             steps, no_worth = (
                 ([], None) if is_full else _entering(r, model, accepted, verdict, judged, rivals)
             )

@@ -72,15 +72,15 @@ def window_peaks(theta_deg: FloatArray, highest: float, least: float) -> tuple[F
 
 
 TURN_DEG = 360.0
-EVEN_POWER, MOSTLY_EVEN_POWER = 0.9, 0.75
-"""Of the spectral window: where spacing is as good as even; and where it is but as a stage gathers speed."""
+EVEN_POWER = 0.9
+"""Of the spectral window: where spacing is as good as even."""
 GRID_SHARE = 0.3
 """Of how uneven the elevations are, by which readings that are the grid are less so."""
 
 
-def spacing_deg(theta_deg: FloatArray, least: float = EVEN_POWER) -> float | None:
+def spacing_deg(theta_deg: FloatArray) -> float | None:
     """Return the step of evenly spaced elevations; None where jitter or gaps tell aliases apart."""
-    grid = _grid(theta_deg.astype(np.float64).tobytes(), least)
+    grid = _grid(theta_deg.astype(np.float64).tobytes())
     return None if grid is None else grid.step_deg
 
 
@@ -92,13 +92,13 @@ class _Grid(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _grid(angles: bytes, least: float = EVEN_POWER) -> _Grid | None:
+def _grid(angles: bytes) -> _Grid | None:
     theta_deg = np.frombuffer(angles)
     places = len(np.unique(theta_deg))
     if places < 3:
         return None
     arc = float(np.ptp(theta_deg))
-    even, _ = window_peaks(theta_deg, 1.5 * max(places / arc, 1.0 / SHORTEST_PERIOD_DEG), least)
+    even, _ = window_peaks(theta_deg, 1.5 * max(places / arc, 1.0 / SHORTEST_PERIOD_DEG), EVEN_POWER)
     if not len(even):
         return None
     step = steps_of(theta_deg, 1.0 / float(even[0]))
@@ -119,11 +119,16 @@ def step_deg(r: Responses) -> float | None:
 def _step_of_sides(r: Responses) -> float:
     """Return the narrower step where the elevations from either side are evenly spaced; else 0.
 
-    Rows where the stage rests before it turns count once.
+    Of rows read on the move at one speed, those do not count where the stage rests or gathers speed.
     """
-    sides = [] if r.approach is None else [r.theta_deg[r.approach == side] for side in (-1.0, 1.0)]
-    places = [np.unique(theta_deg.round(2)) for theta_deg in sides]
-    return min((spacing_deg(theta_deg, MOSTLY_EVEN_POWER) or 0.0 for theta_deg in places), default=0.0)
+    if r.approach is None:
+        return 0.0
+    counted = np.ones(len(r), dtype=bool)
+    if step := _step_of_strokes(r):
+        steps = np.abs(np.diff(r.theta_deg, prepend=r.theta_deg[0])) / step
+        counted = (steps > 0.5) & (np.abs(steps - np.rint(steps)) <= ALIKE)
+    sides = [r.theta_deg[counted & (r.approach == side)] for side in (-1.0, 1.0)]
+    return min(spacing_deg(theta_deg) or 0.0 for theta_deg in sides)
 
 
 def _reading_deg(r: Responses) -> FloatArray:
@@ -237,7 +242,7 @@ def _carried(r: Responses, shape: Shape) -> bool:
     A period beyond the arc is a curve, and so is one of which poses of many turns show less than half. Evenly
     spaced poses show waves near twice the spacing, or near a part of it, as one that alternates or drifts:
     amplitude and phase are one number there. Evenly spaced readings show none of less than twice the spacing.
-    Nor do two sides that come to a grid each: on each it is a longer wave, as what comes with direction is.
+    Where each side has an even grid of its own, such a wave is a longer one on each, and so differs by side.
     """
     frequency, arc = 1.0 / shape.at.get("period_deg", TURN_DEG), r.arc_deg
     if frequency * (1.0 + ROUNDING) < max(1.0 / TURN_DEG, 1.0 / arc):
@@ -247,7 +252,9 @@ def _carried(r: Responses, shape: Shape) -> bool:
     step = step_deg(r)
     if step is None:
         return not _is_curve_within_strokes(r, frequency)
-    is_told_by_sides = _step_of_sides(r) == step and spacing_deg(r.theta_deg) != step
+    is_told_by_sides = _step_of_sides(r) == step and not math.isclose(
+        spacing_deg(r.theta_deg) or 0.0, step, rel_tol=ALIKE
+    )
     is_known = shape.at.get("of_deg") in r.known_periods_deg
     if 2.0 * step * frequency > 1.0 and (_is_by_readings(r) or (is_told_by_sides and not is_known)):
         return False

@@ -158,9 +158,8 @@ def held_out_errors(
 ) -> tuple[str, FloatArray, FloatArray]:
     """Return how poses were held out, and (n,) errors in g before and after; a fold repeats search and fit.
 
-    Up to 200 poses are left out one by one; of more, every 100th goes into one fold. Where the folds' own
-    searches gain nothing, as one pose fewer may be too few to search, the effects of all poses are fitted
-    again in each fold.
+    Up to 200 poses are left out one by one; of more, every 100th goes into one fold. Where no fold finds an
+    effect, as one pose fewer may be too few to search, those of all poses are fitted again in each fold.
     """
     n = len(problem)
     folds = n if n <= MOST_LEFT_OUT_ALONE else FOLDS
@@ -174,7 +173,7 @@ def held_out_errors(
     how = "leave one pose out" if folds == n else f"{folds} folds"
     before = errors_g(fit_gravity)
     after = errors_g(lambda others: search(others, fit_gravity(others), rng, BOOTSTRAPS_HELD_OUT)[0])
-    if effects and not rms(after) < rms(before):
+    if effects and np.array_equal(after, before):
         after = errors_g(lambda others: fit_gravity(others.sighted(), effects))
         how += ", with the effects of all poses"
     return how, before, after
