@@ -49,7 +49,8 @@ def test_who_resumes_a_run_says_where_a_stage_without_homing_stands(
     field, resume = page.get_by_label("The stage stands at, °"), page.locator("#resume-interrupted")
     page.goto(f"{client.base_url}/#/runs/{run_id}")
     expect(page.locator("#stage-at-why")).to_contain_text("no homing")
-    resume.click()
+    with page.expect_response(f"**/api/runs/{run_id}/poses"):  # the page reads the run again, and draws it
+        resume.click()
     expect(page.locator("#view")).to_contain_text('"The stage stands at" where the page resumes the run')
     for wrong, why in (("4000", "at most 360"), (f"{stands_deg + 50:.1f}", "gravity says")):
         field.fill(wrong)
