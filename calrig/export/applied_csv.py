@@ -17,10 +17,11 @@ import numpy.typing as npt
 
 from calrig.calibration.results import Application
 from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
+from calrig.export.csv_cells import Cells
 from calrig.export.csv_columns import Column, missing_columns, normalised
 from calrig.export.csv_dialect import csv_text
 from calrig.export.csv_errors import CsvError, CsvReport
-from calrig.export.csv_table import Cells, Layout, Table, layout_of, read_rows
+from calrig.export.csv_table import Layout, Table, layout_of, read_rows
 
 PIECE_BYTES = 2_000_000
 """More than the rows that tell how cells are written (`csv_dialect.EXAMINED_BYTES`)."""

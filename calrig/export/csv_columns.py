@@ -204,7 +204,7 @@ SAVE_WITH = "save the file with commas, semicolons or tabs"
 NO_NAMES = "the first line holds numbers, and the column names must come before it"
 
 
-def no_names(texts: Sequence[str]) -> str:
+def why_no_names(texts: Sequence[str]) -> str:
     """Return why texts that stand for names are none."""
     if not are_data(texts):
         return f"a name has at most {MAX_NAME_CHARACTERS} characters, all printable"
@@ -222,7 +222,7 @@ def refuse_bad_names(columns: Sequence[Column], line: int) -> None:
     seen: dict[str, str] = {}
     for column in columns:
         if len(column.text) > MAX_NAME_CHARACTERS or not column.text.isprintable():
-            raise CsvError(no_names([one.text for one in columns]), line=line, column=column.text)
+            raise CsvError(why_no_names([one.text for one in columns]), line=line, column=column.text)
         if not column.name:
             continue
         if (first := seen.get(column.name)) is None:
@@ -255,7 +255,7 @@ def missing_columns(
     if found:
         texts, last = [column.text for column in columns], found[-1]
         is_data = are_data(texts) and not any(column.is_known for column in columns)
-        end = f": {no_names(texts)}" if is_data else f"; {there_are(texts)}"
+        end = f": {why_no_names(texts)}" if is_data else f"; {there_are(texts)}"
         if len(texts) == 1 and not {*required}.isdisjoint(texts[0].split()):
             end = f"; spaces separate the names: {SAVE_WITH}"
         elif below is not None:

@@ -15,9 +15,10 @@ from calrig.calibration.line import cut_above_deg
 from calrig.calibration.poses import COLUMNS, FEW, HOST_TIME, INTEGER, MOUNT_DEG, OF_MOUNTS, REQUIRED, Pose
 from calrig.calibration.separation import FACES, MountedPoses
 from calrig.estimation.angles import FloatArray
+from calrig.export.csv_cells import Cells, for_spreadsheet, from_spreadsheet
 from calrig.export.csv_dialect import csv_text
 from calrig.export.csv_errors import CsvError, CsvReport
-from calrig.export.csv_table import Cells, for_spreadsheet, from_spreadsheet, read_tables
+from calrig.export.csv_table import read_tables
 from calrig.model.result import MOST_REFERENCE_STD_DEG, StatedKind
 
 MAX_COUNT = 2**53

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calrig.estimation.angles import AXES, STANDARD_GRAVITY_MPS2, FloatArray
+from calrig.export.csv_cells import LARGEST
 from calrig.export.csv_columns import DID_YOU_MEAN, Column, there_are
 from calrig.export.csv_dialect import COMMAS, Dialect
 from calrig.export.csv_errors import CsvError
-from calrig.export.csv_table import COMMENTS, LARGEST, MAX_ROW_CHARACTERS, Layout, layout_of, read_rows
+from calrig.export.csv_table import COMMENTS, MAX_ROW_CHARACTERS, Layout, layout_of, read_rows
 
 PIECE_BYTES = 2_000_000
 """Small compared with a log, large compared with the cost of a piece."""
