@@ -111,9 +111,9 @@ def _chances(r: Responses, found: Sequence[SelectedEffect], *, draws: bool) -> l
         """Return each squared distance from 0, per coefficient."""
         return [distance_of(beta[at], covariance[at, at]) / (at.stop - at.start) for at in own]
 
-    is_drawn = draws and min(wald(covariance_with_places(model, own, draws=False, parts=False))) < CLEAR**2
+    is_drawn = draws and min(wald(covariance_with_places(model, draws=False, parts=False))) < CLEAR**2
     covariance, stated = (
-        covariance_with_places(model, own, draws=is_drawn, parts=parts) for parts in (False, True)
+        covariance_with_places(model, draws=is_drawn, parts=parts) for parts in (False, True)
     )
     return [
         float(fdtrc(at.stop - at.start, freedom, distance))

@@ -32,11 +32,10 @@ from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, least_standard_errors, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
-from calrig.calibration.effects.unnamed import AT_EACH_PLACE, TIMES
+from calrig.calibration.effects.unnamed import AT_EACH_PLACE, BY_SIDE
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
-from calrig.calibration.regression.effect import APPROACH
 from calrig.calibration.regression.noise_model import LARGEST_RHO, Fit, distance_of, fit, lag1_correlation
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.run_changes import with_free_levels
@@ -299,8 +298,6 @@ ESTIMABLE = 1e-4
 """Of a column, what the others must leave of it: a slip in the block left out is a bias in all the others."""
 WAVY, FORESEEN = 2 * BLOCKS, 0.03
 """Columns of curves that may be a wave within one block; of the size of a part, what the others must show."""
-BY_SIDE = f"{APPROACH.name}{TIMES}"
-"""Begins the name of what changes sign with the approach."""
 KEPT = 16
 """Models whose errors may be asked for again: with all effects, and without each."""
 Intp = npt.NDArray[np.intp]
@@ -358,7 +355,7 @@ def not_predictive(
     accepted = tuple(f.candidate for f in found)
     folds, model = _folds(r), fitted_model(r, accepted)
     own = own_columns(model.columns, accepted)
-    stated = covariance_with_places(model, own)
+    stated = covariance_with_places(model)
 
     def judged(place: int, one: SelectedEffect) -> SelectedEffect:
         others = tuple(c for c in accepted if c is not one.candidate)

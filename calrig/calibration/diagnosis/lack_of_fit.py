@@ -313,29 +313,32 @@ def is_of_rounding(r: Responses, residual_deg: FloatArray) -> bool:
     they are waves themselves, of which each is certain, and none is of the axis. Readings that leave less are
     not rounded: the stage was moved until they changed.
     """
-    rounded = _step_of_readings_deg(r) ** 2 / 12.0
-    off = abs(float(np.mean(residual_deg**2)) - rounded)  # of which 0.8/n is the relative variance
-    is_as_large = off <= min(STANDARD_ERRORS * math.sqrt(0.8 / len(r)), 0.5) * rounded
-    return len(r.channels) == 1 and is_as_large and step_deg(r) is not None
+    if len(r.channels) > 1 or step_deg(r) is None:
+        return False
+    rounded = np.square(_steps_of_readings_deg(r)) / 12.0
+    off = np.abs(np.mean(residual_deg**2) - rounded)  # of which 0.8/n is the relative variance
+    return bool((off <= min(STANDARD_ERRORS * math.sqrt(0.8 / len(r)), 0.5) * rounded).any())
 
 
 @lru_cache(maxsize=8)
-def _step_of_readings_deg(r: Responses) -> float:
-    """Return the step that all readings are multiples of apart, as exactly as they are printed."""
-    readings = np.unique((r.theta_deg + r.values[:, 0]).round(MOST_DECIMALS))
-    off = (np.abs(readings - readings.round(n)).max() for n in range(MOST_DECIMALS))
-    printed_deg = 10.0 ** -next((n for n, one in enumerate(off) if one < 0.1**MOST_DECIMALS), MOST_DECIMALS)
-    steps_deg = np.diff(readings)
+def _steps_of_readings_deg(r: Responses) -> tuple[float, ...]:
+    """Return the step that readings are printed to and that of the counts behind, without those not found."""
+    steps_deg = np.diff(np.unique((r.theta_deg + r.values[:, 0]).round(MOST_DECIMALS)))
 
-    def common_deg(one_deg: float, other_deg: float) -> float:  # Euclid's
-        while other_deg > OF_PRINTED * printed_deg:
-            one_deg, other_deg = other_deg, abs(one_deg - other_deg * round(one_deg / other_deg))
-        return one_deg
+    def common_deg(within_deg: float) -> float:
+        """The step that all are multiples of, as exactly as they are known; 0 without one."""
 
-    count_deg = reduce(common_deg, steps_deg.tolist(), 0.0)
-    if count_deg == 0.0:
-        return printed_deg
-    counts = np.rint(steps_deg / count_deg)
-    count_deg = float(steps_deg.sum() / counts.sum())
-    is_grid = np.abs(steps_deg - counts * count_deg).max() <= 2.0 * printed_deg
-    return count_deg if is_grid else printed_deg
+        def in_both_deg(one_deg: float, other_deg: float) -> float:  # Euclid's
+            while other_deg > OF_PRINTED * within_deg:
+                one_deg, other_deg = other_deg, abs(one_deg - other_deg * round(one_deg / other_deg))
+            return one_deg
+
+        found_deg = reduce(in_both_deg, steps_deg.tolist(), 0.0)
+        counts = np.rint(steps_deg / (found_deg or np.inf))
+        found_deg = float(steps_deg.sum() / max(counts.sum(), 1.0))
+        off_deg = np.abs(steps_deg - counts * found_deg).max(initial=0.0)
+        return found_deg if off_deg <= 2.0 * within_deg else 0.0
+
+    printed_deg = common_deg(0.1**MOST_DECIMALS)
+    counts_deg = printed_deg and common_deg(printed_deg)
+    return tuple(step for step in (printed_deg, counts_deg) if step)

@@ -21,6 +21,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from calrig.calibration.diagnosis.families import place_slope
 from calrig.calibration.diagnosis.outliers import gross_errors, most_outliers, outliers
 from calrig.calibration.diagnosis.ranking import FAR_BEHIND, MARGIN, SelectedEffect
 from calrig.calibration.diagnosis.selection import Findings
-from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, parts_deg
+from calrig.calibration.diagnosis.sensor_model import KEPT, Model, fitted_model, parts_deg
 from calrig.calibration.effects import EFFECTS, UNNAMED, covariate_of
 from calrig.calibration.effects.unnamed import fitted_words
 from calrig.calibration.line import fit_line, residuals_deg
@@ -123,7 +124,7 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     model = fitted_model(r, whole)
     own = own_columns(model.columns, whole)
     # an effect that is another in each part of the run is there all the same
-    alike = covariance_with_places(model, own, parts=False)
+    alike = covariance_with_places(model, parts=False)
     sized = [
         one if has_size(one, model.fitted.beta[at], alike[at, at]) else f.candidate
         for one, at, f in zip(whole, own, findings.found, strict=True)
@@ -131,8 +132,8 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     if sized != whole:  # of two coefficients that only together are certain, the one that was found
         model = fitted_model(r, whole := sized)
         own = own_columns(model.columns, whole)
-        alike = covariance_with_places(model, own, parts=False)
-    fitted = replace(model.fitted, covariance=covariance_with_places(model, own))
+        alike = covariance_with_places(model, parts=False)
+    fitted = replace(model.fitted, covariance=covariance_with_places(model))
     differs = np.diag(fitted.covariance) > np.diag(alike)
     whole = _with_std_of_places(whole, fitted.covariance)
     shares = explained_shares(r, parts_deg(r, whole, model.fitted.beta))
@@ -186,19 +187,18 @@ def explained_shares(r: Responses, effects_deg: Sequence[FloatArray]) -> list[fl
     return [float(before_deg @ one) / power if power > 0.0 else None for one in effects_deg]
 
 
-def covariance_with_places(
-    model: Model, own: Sequence[slice], *, draws: bool = True, parts: bool = True
-) -> FloatArray:
+@lru_cache(maxsize=KEPT)
+def covariance_with_places(model: Model, *, draws: bool = True, parts: bool = True) -> FloatArray:
     """Return (p, p) covariance of a model's coefficients, the places that were refined among the unknowns.
 
     An order of the turn is known.
 
     Args:
         model: with its fit.
-        own: the columns of each accepted effect.
         draws: as `covariance_of` has it.
         parts: likewise.
     """
+    own = own_columns(model.columns, model.accepted)
     slopes = [place_slope(model, own, k) for k, one in enumerate(model.accepted) if _is_refined(one)]
     r, columns, fitted = model.responses, model.columns, model.fitted
     if slopes:

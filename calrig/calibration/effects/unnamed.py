@@ -222,7 +222,8 @@ ALTERNATING = "alternating from step to step"
 UNSTEADY = "from pose to pose"
 ALIKE_NEARBY = 0.25
 """Correlation of what poses have next to each other, beyond which it follows the place, and is no error."""
-WAVE_BY_SIDE = "wave, by side"
+WAVE_BY_SIDE, BY_SIDE = "wave, by side", f"approach{TIMES}"
+"""Of what changes sign with the approach: the form of a wave, and how its column's name begins."""
 CIRCLE, CIRCLE_2 = "circle, order 1", "circle, orders 1 and 2"
 KINK, STEP, OF_THE_STAGE = "kink", "step", ", of the stage"
 PLACES, NEARBY = np.linspace(0.06, 0.94, 23), 0.06
@@ -282,11 +283,11 @@ def _of_elevation(r: Responses, at: Parameters) -> Iterator[Shape]:
         for count in (*KNOTS, *more):
             curve = natural_spline(r.theta_deg, count)
             by_side = ((curve - curve.mean(axis=0)).T * r.approach).T  # backlash beside it is the mean
-            shape = _shape(tilted(by_side), f"approach{TIMES}target_deg", f"smooth {count}, by side")
+            shape = _shape(tilted(by_side), f"{BY_SIDE}target_deg", f"smooth {count}, by side")
             yield replace(shape, beside=("approach",))
         if each is not None:  # as far apart at one place as at another, or not
             by_side = r.approach[:, None] * np.column_stack([np.ones(len(r)), each(r.theta_deg)])
-            yield _shape(tilted(by_side), f"approach{TIMES}target_deg", f"{AT_EACH_PLACE}, by side")
+            yield _shape(tilted(by_side), f"{BY_SIDE}target_deg", f"{AT_EACH_PLACE}, by side")
     yield from _unsteady(r)
     if (spacing := spacing_deg(r.theta_deg)) is not None:
         alternating = np.where(steps_of(r.theta_deg, spacing) % 2.0 == 0.0, 1.0, -1.0)
@@ -305,7 +306,7 @@ def waves_by_side(r: Responses, period_deg: float) -> Iterator[Shape]:
     """
     if r.approach is not None and np.ptp(r.approach) > 0.0:
         waves = circle(TURN_DEG / period_deg * r.theta_deg, 1) * r.approach[:, None]
-        shape = _shape(tilted(waves), f"approach{TIMES}target_deg", WAVE_BY_SIDE, {"period": period_deg})
+        shape = _shape(tilted(waves), f"{BY_SIDE}target_deg", WAVE_BY_SIDE, {"period": period_deg})
         yield replace(shape, scanned=False)
 
 
