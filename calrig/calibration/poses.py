@@ -1,11 +1,9 @@
 """A pose (one dwell at one elevation), its columns (CONTRACT section 4), and checks before a diagnosis."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -138,7 +136,7 @@ class Pose:
         return {**known, **self.covariates}
 
     @classmethod
-    def from_row(cls, row: dict[str, float | int | None]) -> Pose:
+    def from_row(cls, row: dict[str, float | int | None]) -> Self:
         """Return the pose of a row as `row()` gives it."""
         known = {_attribute(name): row[name] for name in COLUMNS if name in row}
         extra = {name: value for name, value in row.items() if name not in COLUMNS}

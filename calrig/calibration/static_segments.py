@@ -1,9 +1,8 @@
 """Segments of a log of samples in which nothing but the sensor's own noise moves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +66,7 @@ class StaticPoses:
     def __len__(self) -> int:
         return len(self.accel_g)
 
-    def rows(self, chosen: BoolArray) -> StaticPoses:
+    def rows(self, chosen: BoolArray) -> Self:
         """Return some of the poses."""
         return replace(
             self,

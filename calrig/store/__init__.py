@@ -4,8 +4,6 @@ Names are imported when first used: a process for background tasks uses records 
 libraries, which takes longer than most tasks.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

@@ -1,11 +1,10 @@
 """Rank the candidates of a step: the name claimed, its rivals, and what these poses cannot tell from it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -108,15 +107,15 @@ class SelectedEffect:
         is_periodic = any(c.effect.place for c in self.rivals)
         return is_smooth and not is_periodic and not self.alike and self.candidate.changed is None
 
-    def rows(self, chosen: npt.NDArray[np.intp]) -> SelectedEffect:
+    def rows(self, chosen: npt.NDArray[np.intp]) -> Self:
         """Return the same in some of the poses."""
         return self._with_each(lambda candidate: candidate.rows(chosen))
 
-    def at_elevations_of(self, r: Responses) -> SelectedEffect:
+    def at_elevations_of(self, r: Responses) -> Self:
         """With columns at the elevations of these poses, where a delay made them at earlier ones."""
         return self._with_each(partial(at_its_elevations, r))
 
-    def _with_each(self, changed: Callable[[Candidate], Candidate]) -> SelectedEffect:
+    def _with_each(self, changed: Callable[[Candidate], Candidate]) -> Self:
         rivals, runners_up, alike = (
             tuple(map(changed, those)) for those in (self.rivals, self.runners_up, self.alike)
         )
@@ -124,7 +123,7 @@ class SelectedEffect:
             self, candidate=changed(self.candidate), rivals=rivals, runners_up=runners_up, alike=alike
         )
 
-    def against(self, rival: Candidate, doubt: str) -> SelectedEffect:
+    def against(self, rival: Candidate, doubt: str) -> Self:
         """With one rival more, and why."""
         return replace(self, rivals=(*self.rivals, rival), doubts=(*self.doubts, doubt))
 

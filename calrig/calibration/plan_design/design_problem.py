@@ -1,10 +1,9 @@
 """Define the problem that a design solves: goals, reference, precision and pace; and the design itself."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Self
 
 from calrig.calibration.correlated_errors import expected_widening
 from calrig.calibration.plan_design.layout import Pace, Precision, Sweep, Turning, leverage
@@ -55,7 +54,7 @@ class TypeB:
     def _is_of_settings(self) -> bool:
         return self.reference is not None and self.reference.kind == "setting"
 
-    def of_line(self, over_range: float) -> TypeB:
+    def of_line(self, over_range: float) -> Self:
         """What it makes of an elevation by a line whose mean variance over the range is this for scatter 1.
 
         An independent error of each setting enters as a scatter does (`uncertainty.reference_part`); any

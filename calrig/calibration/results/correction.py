@@ -5,12 +5,10 @@ axes act on one vector, at the elevation of the sensor itself. `calrig apply`, `
 a verification all take a document's arithmetic (CONTRACT section 6) from here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -325,7 +323,7 @@ class Application:
     level_std_deg: float
 
     @classmethod
-    def of_document(cls, document: Mapping[str, Any]) -> Application:
+    def of_document(cls, document: Mapping[str, Any]) -> Self:
         """Return what a document says.
 
         Raises:
@@ -341,7 +339,7 @@ class Application:
             raise ApplyError(f"it is no calibration as `calrig export` prints one ({error})") from error
 
     @classmethod
-    def _of(cls, document: Mapping[str, Any]) -> Application:
+    def _of(cls, document: Mapping[str, Any]) -> Self:
         if not MIN_SCALE <= abs(document["scale"]) <= 1.0 / MIN_SCALE:
             raise ApplyError(f"the scale is {document['scale']:g}: the reading does not follow the elevation")
         effects, _ = effects_at_rest(document)

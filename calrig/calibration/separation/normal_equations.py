@@ -5,9 +5,8 @@ before (Björck, Numerical Methods for Least Squares Problems, 1996, section 6.3
 whose noise follows on that of the pose before are made independent first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -37,7 +36,7 @@ class Arrow(_Blocks):
 
     __slots__ = ()
 
-    def plus(self, diagonal: FloatArray) -> Arrow:
+    def plus(self, diagonal: FloatArray) -> Self:
         """The same and a diagonal (p,)."""
         inside = tuple(own + np.diag(diagonal[at]) for at, own in zip(self.blocks, self.inside, strict=True))
         return replace(self, inside=inside, middle=self.middle + np.diag(diagonal[self.border]))

@@ -12,12 +12,10 @@ mean over its dial is no part of it, because each clamping has another one (leve
 off values and covariance alike.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -156,7 +154,7 @@ class StageMap:
     gaps_deg: tuple[tuple[float, float], ...] = ()
 
     @classmethod
-    def from_document(cls, document: object) -> StageMap:
+    def from_document(cls, document: object) -> Self:
         """The map of a `stage-map.json`.
 
         Raises:
@@ -178,7 +176,7 @@ class StageMap:
             raise MapError(f"is not as calrig makes it ({type(error).__name__}: {error})") from error
 
     @classmethod
-    def from_frozen(cls, frozen: Mapping[str, Any]) -> StageMap:
+    def from_frozen(cls, frozen: Mapping[str, Any]) -> Self:
         """What `frozen` gave."""
         size = len(frozen["coefficients_deg"])
         covariance = np.zeros((size, size))
@@ -188,7 +186,7 @@ class StageMap:
         return cls._checked(frozen, covariance, np.linspace(low, high, frozen["dial_steps"]))
 
     @classmethod
-    def _checked(cls, told: Mapping[str, Any], covariance: FloatArray, dial: FloatArray) -> StageMap:
+    def _checked(cls, told: Mapping[str, Any], covariance: FloatArray, dial: FloatArray) -> Self:
         orders, coefficients = (
             np.array(told[key], dtype=np.float64) for key in ("orders", "coefficients_deg")
         )

@@ -4,12 +4,10 @@ CONTRACT section 2, `reliable`, and section 6, `warnings`. A run's result carrie
 verdict, the document of its revision, the page, the terminal and the feed show their sentences.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from calrig.calibration.uncertainty.conformity import deg
 from calrig.model.result import Doubt, Result
@@ -46,7 +44,7 @@ class Line:
     scale_std: float
 
     @classmethod
-    def of(cls, result: Result, *, other_stage: bool) -> Line:
+    def of(cls, result: Result, *, other_stage: bool) -> Self:
         """Of a run's result, without accepted effects: as every run can give it.
 
         Args:
