@@ -5,6 +5,8 @@ two decimals, so a line's form is known to the character; println ends it CR LF.
 record of each, which `board_device` turns into a device; `sketch_board` is the driver of all of them.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
