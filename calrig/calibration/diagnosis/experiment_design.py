@@ -234,21 +234,18 @@ class _Trial:
         """Of each pair that counts, with the one true that is the harder to tell."""
         r = with_free_levels(self._with(elevations_deg, wait_s))
         others = [c for c in (predicted(o, r) for o in self._others) if c is not None]
-        suspects = self._suspects_in(r)
+        known = [(k, one) for k, one in enumerate(self._suspects_in(r)) if one is not None]
+        if not known:
+            return dict.fromkeys(self.pairs, 0.0)
+        shown = np.array([(effect.columns @ sizes) * r.known for _, (effect, sizes) in known])
+        targets = self._noise.whiten(shown, r.starts).reshape(len(known), -1).T
         found: dict[tuple[int, int], float] = {}
-        for k, true in enumerate(suspects):
-            if true is None:
-                continue
-            effect, sizes = true
-            shown = (effect.columns @ sizes) * r.known
-            target = self._noise.whiten(shown, r.starts).ravel()
-            for j, rival in enumerate(suspects):
-                pair = min(j, k), max(j, k)
-                if rival is None or pair not in self.pairs:
-                    continue
-                design = stacked(self._noise, r.starts, model_columns(r, [*others, rival[0]]))
-                left = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
-                found[pair] = min(found.get(pair, math.inf), float(left @ left))
+        for j, (rival, _) in known:
+            design = stacked(self._noise, r.starts, model_columns(r, [*others, rival]))
+            left = targets - design @ np.linalg.lstsq(design, targets, rcond=1e-9)[0]
+            for (k, _), distance in zip(known, (left**2).sum(axis=0), strict=True):
+                if (pair := (min(j, k), max(j, k))) in self.pairs:
+                    found[pair] = min(found.get(pair, math.inf), float(distance))
         return {pair: found.get(pair, 0.0) for pair in self.pairs}
 
     def _imagined(self, elevations_deg: Sequence[float], wait_s: float) -> list[Pose]:
