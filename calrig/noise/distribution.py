@@ -288,9 +288,9 @@ def knocks_of(channels: dict[str, FloatArray]) -> dict[str, list[slice]]:
 def knocks_in(x: FloatArray) -> list[slice]:
     """Return the few stretches that rule a log's Allan deviation and say nothing of its noise, as of a knock.
 
-    Far out for a moment, or to the end of the log, they begin and end at once, as no drift does, and at some
-    averaging time they make more of the Allan variance than all the rest. Each is taken as long again on
-    either side, where it swings in and out.
+    Far out for a moment, from the start or to the end of the log, they begin and end at once, as no drift
+    does, and at some averaging time they make more of the Allan variance than all the rest. Each is taken as
+    long again on either side, where it swings in and out.
 
     `x` (N,) are samples in order, NaN where not known.
     """
@@ -321,7 +321,7 @@ def knocks_in(x: FloatArray) -> list[slice]:
         slice(int(rows[begin]), int(rows[end - 1]) + 1)
         for (a, b), (begin, end), is_ruling in zip(ends, wide, rules, strict=True)
         if is_ruling
-        and stands_out(a, x[:a][-_NEIGHBOURS:])
+        and (a == 0 or stands_out(a, x[:a][-_NEIGHBOURS:]))
         and (b == len(x) or stands_out(b - 1, x[b : b + _NEIGHBOURS]))
     ]
 

@@ -141,6 +141,7 @@ def test_a_log_of_a_sensor_that_was_turned_is_said_to_be_no_log_of_noise():
         (slice(9_000, 9_050), "samples 8951 to 9100"),
         (slice(9_000, 9_001), "samples 9000 to 9002"),
         (slice(19_900, 20_000), "samples 19801 to 20000"),
+        (slice(0, 50), "samples 1 to 100"),
     ],
 )
 def test_a_knock_is_left_out_and_the_noise_is_that_of_the_rest(knock, left_out):
