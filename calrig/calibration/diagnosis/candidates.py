@@ -11,9 +11,9 @@ from itertools import accumulate, combinations
 import numpy as np
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
-from calrig.calibration.effects.unnamed import WAVE_BY_SIDE, waves_by_side
+from calrig.calibration.effects.unnamed import WAVE_BY_SIDE, few_places, waves_by_side
 from calrig.calibration.regression.channels import ANGLE, READING
-from calrig.calibration.regression.effect import ELEVATION, HIDDEN, OF, Effect, Parameters, Shape
+from calrig.calibration.regression.effect import APPROACH, ELEVATION, HIDDEN, OF, Effect, Parameters, Shape
 from calrig.calibration.regression.responses import Change, Responses
 from calrig.calibration.regression.run_changes import (
     MANY_CHANGES,
@@ -225,6 +225,9 @@ def candidates_of(r: Responses) -> list[Candidate]:
     all_along = [candidate for candidate in shown if candidate.changed is None]
     with_others = [c for c in all_along if c.effect.together_with and not c.shape.alone]
     pairs = [(a, b) for b in with_others for a in all_along if a.name in b.effect.together_with]
+    if few_places(r.theta_deg) is None:  # there each place may have its own hysteresis
+        by_side = [c for c in all_along if c.shape.beside == (APPROACH.name,)]
+        pairs += [(a, b) for b in by_side for a in all_along if a.effect.covariate is APPROACH]
     together = [_together(a, b) for a, b in pairs] + _several_changes(shown, len(r.run_ids) - 1)
     together += _series(r, all_along)
     unnamed = sum(not candidate.named for candidate in shown)

@@ -238,6 +238,8 @@ ONE_PLACE = 1e-3
 """Of a column's range: a stage that comes back to a place is as far off."""
 MOST_CYCLES = 60.0
 """A run is searched for cycles in time up to this many, or as many as its poses can show."""
+ALIKE_STROKES = 0.5
+"""Of a cycle in time, the share beyond which curves of the elevation and its direction explain it."""
 Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
 
 
@@ -491,10 +493,23 @@ def _in_time(r: Responses, name: str, at: Parameters) -> Iterator[Shape]:
 def _cycles(r: Responses, time_s: FloatArray) -> Iterator[Shape]:
     span = float(np.ptp(time_s))
     most = min(0.45 * len(r), MOST_CYCLES)
+    strokes = _of_strokes(r)
     for frequency in np.arange(1.0 / span, most / span, 1.0 / (3.0 * span)):
-        phase = 2.0 * np.pi * frequency * time_s
-        waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
-        yield _shape(tilted(waves), "time_s", "cycle", {"period": float(1.0 / frequency)})
+        waves = circle(360.0 * frequency * time_s, 1)
+        if np.sum((strokes.T @ waves) ** 2) < ALIKE_STROKES * np.sum(waves**2):
+            yield _shape(tilted(waves), "time_s", "cycle", {"period": float(1.0 / frequency)})
+
+
+def _of_strokes(r: Responses) -> FloatArray:
+    """Return orthonormal (n, p) curves of the elevation, and their differences by direction.
+
+    What a stage that goes to and fro repeats in time is a cycle of its strokes, as hysteresis makes it.
+    """
+    if r.approach is None or np.ptp(r.approach) == 0.0 or not turns(r):
+        return np.empty((len(r), 0))
+    pieces = max(_counts(_places(r.theta_deg)), default=1)
+    curve = np.column_stack([np.ones(len(r)), natural_spline(r.theta_deg, pieces)])
+    return np.linalg.qr(np.column_stack([curve, curve * r.approach[:, None]]))[0]
 
 
 def _reported(shape: Shape, beta: FloatArray, covariance: FloatArray) -> Documents:
