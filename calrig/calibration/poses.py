@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from calrig.calibration.line import reading_error_deg
@@ -279,12 +278,12 @@ def same(a: FloatArray, b: FloatArray) -> bool:
     return bool(abs(np.corrcoef(a, b)[0, 1]) > SAME)
 
 
-FEWEST_AT_END, MOST_AT_END, WIDER = 3, 3, 3.0
-"""Elevations with the same highest or lowest reading, or so many neighbouring ones, over so many times the
-arc that as many others stand for, are beyond the end of the sensor's range."""
-MOSTLY, LEAST_BEYOND, STILL = 0.75, 0.02, 5.0
-"""Of the poses among them, how many read so; of the whole arc, the least that they cover; and how many times
-their own spread the readings would have changed over it."""
+FEWEST_AT_END, FLAT = 4, 0.05
+"""Elevations at an end of the arc over which the readings change by less than this share of the way that they
+follow: beyond the end of the sensor's range,"""
+WIDER, LEAST_BEYOND = 3, 0.02
+"""if no others, as coarse counts, stay so over one part in so many of that stretch, and it is at least
+so much of the whole arc."""
 FEWEST_FOR_UNIT_DEG, STRAIGHT, MOST_PER_DEG = 5.0, 0.3, 2.5
 """A unit shows over so many degrees, in readings that a straight line explains but for this share of their
 standard deviation; at a steeper slope they are no degrees."""
@@ -299,10 +298,10 @@ def refuse_what_is_no_elevation(theta: FloatArray, reading: FloatArray) -> None:
         )
     if np.ptp(theta) < FEWEST_FOR_UNIT_DEG:
         return
-    _refuse_its_ends(theta, reading)
     slope, level = np.polyfit(theta, reading, 1).tolist()
     if np.std(reading - level - slope * theta) > STRAIGHT * np.std(reading):
         return  # it starts anew after a turn, or does not follow
+    _refuse_its_ends(theta, reading, abs(slope))
     told = f"the readings change by {slope:.4g} per degree of elevation: "
     if abs(math.degrees(abs(slope)) - 1.0) < 0.2:
         raise DiagnosisError(f"{told}they look like radians; convert reading_deg to degrees")
@@ -345,17 +344,16 @@ def refuse_what_is_on_its_way(theta: FloatArray, reading: FloatArray) -> None:
         )
 
 
-def _refuse_its_ends(theta: FloatArray, reading: FloatArray) -> None:
+def _refuse_its_ends(theta: FloatArray, reading: FloatArray, slope: float) -> None:
     """Raise DiagnosisError where the readings stop at their highest or lowest while the elevation goes on."""
-    values, which = np.unique(reading, return_inverse=True)
-    ends = (
-        _end_of_range(theta, which, values),
-        _end_of_range(-theta, len(values) - 1 - which, -values[::-1]),
-    )
+    along = np.argsort(theta, kind="stable")
+    low, high = (_flat_from_an_end(theta[o], reading[o], slope) for o in (along, along[::-1]))
+    between = along[low : len(along) - high]
     stops = [
-        f"at {value:g} from {theta[there].min():g}° to {theta[there].max():g}° ({len(there)} poses)"
-        for value, there in zip((values[0], values[-1]), ends, strict=True)
-        if len(there)
+        f"at {np.median(reading[there]):.5g} from {theta[there].min():g}° to {theta[there].max():g}° "
+        f"({len(there)} poses)"
+        for there in (along[:low], along[len(along) - high :])
+        if len(there) and not _is_coarse(theta[between], reading[between], slope, theta[there])
     ]
     if stops:
         raise DiagnosisError(
@@ -364,30 +362,20 @@ def _refuse_its_ends(theta: FloatArray, reading: FloatArray) -> None:
         )
 
 
-def _end_of_range(theta: FloatArray, which: npt.NDArray[np.intp], values: FloatArray) -> npt.NDArray[np.intp]:
-    """Return the poses that read the lowest of the values (k,), or a count or two away, as beyond a range.
+def _flat_from_an_end(theta: FloatArray, reading: FloatArray, slope: float) -> int:
+    """Return over how many of the first poses, from an end of the arc on, the readings hardly follow."""
+    arc_deg = np.abs(theta - theta[0])
+    spread = np.maximum.accumulate(reading) - np.minimum.accumulate(reading)
+    is_flat = (spread <= FLAT * slope * arc_deg) & (arc_deg > LEAST_BEYOND * arc_deg[-1])
+    count = 1 + int(np.flatnonzero(is_flat[: len(theta) // 2]).max(initial=-1))
+    return count if len(np.unique(theta[:count])) >= FEWEST_AT_END else 0
 
-    Their elevations lie together, over far more than the readings account for and than as many neighbouring
-    values stand for elsewhere: coarse counts are no stop, nor is a rest at one angle.
-    """
-    low, high = np.full(len(values), np.inf), np.full(len(values), -np.inf)
-    np.minimum.at(low, which, theta)
-    np.maximum.at(high, which, theta)
-    per_deg = (values[-1] - values[0]) / np.ptp(theta)
-    for count in range(min(MOST_AT_END, len(values) // 3), 0, -1):
-        there = np.flatnonzero(which < count)
-        least, most = theta[there].min(), theta[there].max()
-        arc_deg = most - least
-        within = np.count_nonzero((theta >= least) & (theta <= most))
-        tops, bottoms = (sliding_window_view(one[count:-count], count) for one in (high, low))
-        others_deg = tops.max(axis=1) - bottoms.min(axis=1)
-        if (
-            len(np.unique(theta[there])) >= FEWEST_AT_END
-            and 2 * len(there) < len(theta)
-            and len(there) > MOSTLY * within
-            and arc_deg > WIDER * others_deg.max()
-            and arc_deg > LEAST_BEYOND * np.ptp(theta)
-            and per_deg * arc_deg > max(STILL * (values[count - 1] - values[0]), np.diff(values).min())
-        ):
-            return there
-    return np.array([], dtype=np.intp)
+
+def _is_coarse(theta: FloatArray, reading: FloatArray, slope: float, beyond_deg: FloatArray) -> bool:
+    """Return whether readings along the arc hardly follow over stretches nearly as long as the one beyond."""
+    width = max(len(beyond_deg) // WIDER, 2)
+    if len(theta) < width:
+        return False
+    arc_deg, spread = (np.ptp(sliding_window_view(one, width), axis=1) for one in (theta, reading))
+    is_long = arc_deg > np.ptp(beyond_deg) / (2 * WIDER)
+    return bool((is_long & (spread <= FLAT * slope * arc_deg)).any())

@@ -282,6 +282,15 @@ def test_a_sensor_whose_range_ends_before_the_stages_is_refused_with_where(step_
         responses_of([clipped])
 
 
+def test_a_sensor_that_stops_at_both_ends_under_noise_is_refused_with_both() -> None:
+    theta = np.arange(-80.0, 81.0, 4.0)
+    noise_deg = np.random.default_rng(1).normal(0.0, 0.02, len(theta))
+    with pytest.raises(
+        DiagnosisError, match=r"from -80° to -60° \(6 poses\) and .* from 60° to 80° \(6 poses\)"
+    ):
+        diagnose([run_of(theta, reading_deg=np.clip(theta, -60.0, 60.0) + noise_deg)])
+
+
 @pytest.mark.parametrize("one_more", [0.0, 0.0625])
 def test_a_sensor_that_stops_at_both_ends_to_within_a_count_is_refused_with_both(one_more: float) -> None:
     theta = np.linspace(-60.0, 60.0, 61)
@@ -421,10 +430,11 @@ def test_rows_that_are_repeated_leave_no_freedom_for_a_curve():
     assert diagnose([table], bootstraps=199).findings.found == ()
 
 
-def test_a_sensor_that_stops_following_is_off_by_what_it_is_off_a_line() -> None:
-    """A potentiometer at its end: the slope of the good part, times the range, is no error."""
+def test_a_sensor_that_follows_less_is_off_by_what_it_is_off_a_line() -> None:
+    """A potentiometer near its end: the slope of the good part, times the range, is no error."""
     angle_deg = np.arange(30.0, 151.0, 5.0)
-    reading_deg = np.maximum(angle_deg, 45.0) + np.random.default_rng(5).normal(0.0, 0.3, len(angle_deg))
+    noise_deg = np.random.default_rng(5).normal(0.0, 0.3, len(angle_deg))
+    reading_deg = angle_deg + 0.8 * np.maximum(45.0 - angle_deg, 0.0) + noise_deg
     diagnosed = diagnose(
         [posed(target_deg=angle_deg, reading_deg=reading_deg)], bootstraps=199, cross_fit=False
     )

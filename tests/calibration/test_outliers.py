@@ -158,6 +158,15 @@ def test_outliers_beyond_the_most_that_are_left_out_are_counted() -> None:
     assert 0.8 * wrong.sum() <= left_out + int(more.split()[0]) <= wrong.sum()
 
 
+def test_an_outlier_too_many_is_told_by_its_angle() -> None:
+    theta = np.arange(-90.0, 91.0, 5.0)
+    readings = theta + 0.03 * np.random.default_rng(3).standard_normal(len(theta))
+    readings[[20, 28]] += [9.0, -0.9]  # of 37 poses one is left out
+    found = diagnosed(theta, readings)
+    (more,) = (sentence for sentence in found.warnings if "more pose" in sentence)
+    assert more.startswith("1 ") and "at 50°" in more
+
+
 @pytest.mark.parametrize("event", ["slip", "dent", "many", "small"])
 def test_what_may_be_an_effect_is_no_gross_error(event: str) -> None:
     theta = passes(4)

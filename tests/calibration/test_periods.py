@@ -418,12 +418,20 @@ def test_the_spectral_window_shows_the_spacing_and_jitter_takes_it_away(jitter_d
     assert peaks == pytest.approx(expected, abs=1e-3)
 
 
-def test_a_wave_so_steep_that_the_axis_would_turn_back_is_not_possible():
-    effect = EFFECTS["stage_periodic"]
-    r = responses_of([measured(np.linspace(0.0, 350.0, 60), [(90.0, 1.0, 0.0)], np.random.default_rng(9))])
-    (shape,) = effect.forms(r, {"period_deg": 6.0})
-    assert effect.possible(shape, np.array([0.5, 0.5]))
-    assert not effect.possible(shape, np.array([1.0, 1.0]))
+@pytest.mark.parametrize("amplitude_deg", [0.5, 1.05])
+def test_a_wave_so_steep_that_readings_turn_back_is_found_and_no_correction(amplitude_deg: float) -> None:
+    rng = np.random.default_rng(9)
+    theta_deg = rng.uniform(0.0, 360.0, 150)
+    error_deg = amplitude_deg * np.sin(2.0 * np.pi * theta_deg / 5.625) + rng.normal(0.0, 0.02, 150)
+    run = posed(target_deg=theta_deg, reading_deg=theta_deg + error_deg)
+    said = document(diagnose([run], request=DiagnosisRequest(reference="good"), bootstraps=199), ["1"])
+    (wave,) = said["effects"]
+    amplitude = wave["parameters"]["amplitude_deg"]
+    assert abs(amplitude["value"] - amplitude_deg) < 4.0 * amplitude["std"]
+    turns_back = 2.0 * np.pi * amplitude_deg > 5.625
+    assert wave["corrects"] == (None if turns_back else "unit")
+    assert any("turn back" in warning for warning in said["warnings"]) == turns_back
+    assert said["final"]["held_out_rms_deg"] < 0.03
 
 
 def test_poses_of_many_turns_at_the_same_few_degrees_carry_no_order_of_the_turn():

@@ -80,15 +80,17 @@ def _is_of_angle(r: Responses, left_deg: FloatArray, k: int, step_deg: float) ->
     return bool(along.sum() > OF_ANGLE * len(along))
 
 
-def beyond(r: Responses, residual_deg: FloatArray) -> int:
-    """Return how many poses are as far off as outliers from a model, which leaves (n,) of them.
+def beyond(r: Responses, accepted: Sequence[Candidate], residual_deg: FloatArray) -> Intp:
+    """Return the poses that are as far off as outliers from a model, which leaves (n,) of them.
 
-    Many of them turn the model, and widen the spread about it, so that a robust line counts beside it.
+    Many of them turn the model, and widen the spread about it, so that a robust line counts beside it. A few
+    that would be left out, were it not for those that have been, are as far.
     """
     off_line_deg = off_robust_line_deg(r.theta_deg, r.values[:, 0])
     both_deg = np.stack([residual_deg - np.median(residual_deg), off_line_deg])
     spread_deg = max(min(map(robust_std, both_deg)), float(r.rounding[0]))
-    return int((np.abs(both_deg).min(axis=0) > FAR * spread_deg).sum())
+    far = np.flatnonzero(np.abs(both_deg).min(axis=0) > FAR * spread_deg)
+    return np.union1d(far, outliers(r, accepted, most_outliers(len(r))))
 
 
 def outliers(r: Responses, accepted: Sequence[Candidate], most: int, gain_to_beat: float = 0.0) -> Intp:

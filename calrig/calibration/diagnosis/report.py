@@ -146,9 +146,12 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
         }
         for one, candidate, at, share in zip(findings.found, whole, own, shares, strict=True)
     ]
+    is_one_to_one = not turns_round(r, whole, model.fitted.beta)
     for document, at in zip(documents, own, strict=True):
         if differs[at].any():
             document["evidence"].append(DIFFERS)
+        if document["corrects"] == "unit" and document["covariate"] == ELEVATION.name and not is_one_to_one:
+            document["corrects"] = None
     return documents
 
 
@@ -461,14 +464,24 @@ def left_deg(r: Responses, accepted: Sequence[Candidate], fitted: Fit) -> FloatA
 def slopes_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> FloatArray:
     """Return (n,) what errors of the readings are divided by, for degrees of elevation, in a model fitted.
 
-    It is the unit's slope at each pose: its scale, and how its own effects change with the elevation. Beside
-    a curve that is not the unit's the model's scale is the slope at 0°, where perhaps no pose lies: the mean
-    slope, that of bias and scale alone, takes its place; so too where the unit's curves turn the slope round.
+    It is the unit's slope at each pose, or the mean slope, that of bias and scale alone, if the unit's curves
+    turn it round.
+    """
+    slope, mean = _unit_slopes(r, accepted, beta)
+    return np.full(len(r), mean) if (slope * mean <= 0.0).any() else slope
 
-    Args:
-        r: the poses.
-        accepted: the effects of the model.
-        beta: (p,) its coefficients.
+
+def turns_round(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> bool:
+    """Return whether a reading stands for several elevations, in a model with coefficients (p,)."""
+    slope, mean = _unit_slopes(r, accepted, beta)
+    return bool((slope * mean <= 0.0).any())
+
+
+def _unit_slopes(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> tuple[FloatArray, float]:
+    """Return the unit's slope at each pose (n,): its scale and its own effects; and that of bias and scale.
+
+    Beside a curve that is not the unit's the model's scale is the slope at 0°, where perhaps no pose lies:
+    the mean slope takes its place.
     """
     members = [member for candidate in accepted for member in candidate.members]
     of_unit = [m.effect.scope == "unit" or m.is_of_sensor(r) or m.is_smooth_of_sensor(r) for m in members]
@@ -496,7 +509,7 @@ def slopes_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArr
             others.append((member.name, numbers_of(stated)))
     bias_deg = float(beta[r.base_names.index(f"{READING}.bias")])
     slope = slope_of_reading(r.theta_deg, bias_deg, scale, others, Circumstances.of(r)) + curved
-    return np.where(slope * mean > 0.0, slope, mean)
+    return slope, mean
 
 
 def likeliest_forms(r: Responses, forms: Sequence[Sequence[Candidate]]) -> list[Candidate]:

@@ -28,7 +28,13 @@ from calrig.calibration.diagnosis.held_out import (
 )
 from calrig.calibration.diagnosis.lack_of_fit import LackOfFit, lack_of_fit, warning_of
 from calrig.calibration.diagnosis.outliers import beyond, gross_errors, most_outliers
-from calrig.calibration.diagnosis.report import effect_documents, fitted_scale, left_deg, model_words
+from calrig.calibration.diagnosis.report import (
+    effect_documents,
+    fitted_scale,
+    left_deg,
+    model_words,
+    turns_round,
+)
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.effects.unnamed import TIMES
@@ -136,12 +142,16 @@ def diagnose(
     has_temperature = any(pose.temperature_c is not None for run in kept for pose in run)
     in_order = not left.starts.all()
     said = warning_of(lack, found=bool(findings.found), temperature=has_temperature, in_order=in_order)
-    told = [sentence for sentence in (said, _unseen_by_gravity(findings)) if sentence is not None]
-    most, more = most_outliers(len(r)), beyond(left, findings.fitted.residuals[:, 0])
-    if more and len(r) - len(left) + more > most:
+    told = [sentence for sentence in (said, _unseen_by_gravity(findings), _undone(findings)) if sentence]
+    accepted = [f.candidate for f in findings.found]
+    most, more = most_outliers(len(r)), beyond(left, accepted, findings.fitted.residuals[:, 0])
+    if len(more) and len(r) - len(left) + len(more) > most:
+        flat = [pose for run in kept for pose in run]
+        listed = "; ".join(_as_read(flat[k]) for k in more[:LISTED].tolist())
+        poses = "1 more pose lies" if len(more) == 1 else f"{len(more)} more poses lie"
         outliers.append(
-            f"{more} more poses lie as far from what the model says and count all the same, since at most "
-            f"{most} of {len(r)} are left out: look at reading_deg, and leave out what is wrong"
+            f"{poses} as far from what the model says; at most {most} of {len(r)} are left out: look at "
+            f"reading_deg, and leave out what is wrong ({listed}{' …' if len(more) > LISTED else ''})"
         )
     derived = [DERIVED_APPROACH] if is_derived and _rests_on_approach(findings) else []
     warnings = (*outliers, *incomplete, *derived, *r.warnings, *harm, *told)
@@ -184,6 +194,17 @@ def _unseen_by_gravity(findings: Findings) -> str | None:
     )
 
 
+def _undone(findings: Findings) -> str | None:
+    """That no calibration corrects readings that turn back; None where each stands for one elevation."""
+    accepted = [f.candidate for f in findings.found]
+    if not turns_round(findings.responses, accepted, findings.fitted.beta):
+        return None
+    return (
+        "with these errors the readings turn back while the elevation goes on: one reading stands for "
+        "several elevations, and no calibration tells which"
+    )
+
+
 def _require_that_readings_follow(findings: Findings) -> None:
     """Raise DiagnosisError where the readings may be the same, or noise, at every elevation."""
     r = findings.responses
@@ -197,6 +218,10 @@ def _require_that_readings_follow(findings: Findings) -> None:
     )
 
 
+def _as_read(pose: Pose) -> str:
+    return f"at {pose.target_deg:g}°, which reads {pose.reading_deg:g}°"
+
+
 def _parted(
     runs: Sequence[Sequence[Pose]], used: npt.NDArray[np.intp]
 ) -> tuple[tuple[tuple[Pose, ...], ...], list[str]]:
@@ -205,11 +230,7 @@ def _parted(
     for number, run in enumerate(runs):
         where = f" of run {number}" if len(runs) > 1 else ""
         kept.append(tuple(pose for k, pose in enumerate(run, first) if k in used))
-        left = [
-            f"pose {k - first} at {pose.target_deg:g}°, which reads {pose.reading_deg:g}°"
-            for k, pose in enumerate(run, first)
-            if k not in used
-        ]
+        left = [f"pose {k - first} {_as_read(pose)}" for k, pose in enumerate(run, first) if k not in used]
         if left:
             many = f"outliers{where}, {len(left)} poses" if len(left) > 1 else f"outlier{where}"
             more = f" and {len(left) - LISTED} more" if len(left) > LISTED else ""

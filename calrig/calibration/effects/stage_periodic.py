@@ -443,7 +443,6 @@ EFFECT = Effect(
     remedy="correct by the rig error map; look at the worm, its preload, the motor's steps",
     reported=amplitude_and_phase,
     # a steeper wave would turn the axis back while its stage turns on
-    possible=lambda shape, beta: bool(2.0 * np.pi * np.hypot(*beta) < shape.at["period_deg"]),
     place="period_deg",
     settled=_settled,
     look_alikes=_look_alikes,
