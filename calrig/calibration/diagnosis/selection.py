@@ -154,7 +154,9 @@ def masked_pair(
     if model.fitted.noise.rho.max() < STRONG_RHO or not few:
         return []
     first = named(r, model.accepted, few, ratios, verdict.p_value)
-    return tested_pair(r, model, first, judged)
+    two = pair(r, model.accepted, few, ratios, first)
+    of_two = two and tested_pair(r, model, replace(first, candidate=two[0], rivals=()), judged)
+    return of_two or tested_pair(r, model, first, judged)
 
 
 def tested_pair(
