@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calrig.calibration.diagnosis.candidates import Candidate, model_columns, own_columns, rebuilt
+from calrig.calibration.diagnosis.entering import least_standard_errors
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
 from calrig.calibration.diagnosis.ranking import SelectedEffect, decisive_pose
@@ -29,7 +30,7 @@ from calrig.calibration.diagnosis.report import (
     words_of,
 )
 from calrig.calibration.diagnosis.reselection import Rivals
-from calrig.calibration.diagnosis.selection import Findings, least_standard_errors, search
+from calrig.calibration.diagnosis.selection import Findings, search
 from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
 from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.effects.unnamed import AT_EACH_PLACE, BY_SIDE
