@@ -10,7 +10,8 @@ from posed import posed
 
 from calrig.calibration.diagnosis.candidates import candidates_of, rebuilt
 from calrig.calibration.diagnosis.tracing import diagnose, document
-from calrig.calibration.effects.unnamed import delayed, is_circle, unit_of_column
+from calrig.calibration.effects.unnamed import delayed
+from calrig.calibration.regression.column_units import is_circle, unit_of_column
 from calrig.calibration.regression.responses import responses_of
 from calrig.calibration.regression.terms import covered
 

@@ -129,7 +129,8 @@ def likeliest(r: Responses, model: Model, verdict: Verdict) -> SelectedEffect | 
     few, ratios = _without_series(verdict)
     if model.fitted.noise.rho.max() < STRONG_RHO or not few:
         return None
-    return named(r, model.accepted, few, ratios, verdict.p_value)
+    best = named(r, model.accepted, few, ratios, verdict.p_value)
+    return best if best.considered else None
 
 
 def tested_pair(

@@ -164,7 +164,7 @@ def named(
     alike = claimed.shape.alike
     if alike and {"latency", "backlash"}.issuperset(alike) and is_shift_seen(r, accepted, claimed):
         alike = ()
-    rivals = _rivals(ranked, claimed, alike) if claimed.named else ()
+    rivals = _rivals(ranked, claimed, alike, float(np.log(len(r)))) if claimed.named else ()
     elsewhere: tuple[Candidate, ...] = ()
     if claimed.effect.place and claimed.beside is None:
         (claimed, *others), elsewhere = _alike(r, accepted, claimed)
@@ -205,17 +205,24 @@ def _is_same_term(candidate: Candidate, other: Candidate) -> bool:
 
 
 def _rivals(
-    ranked: Sequence[tuple[float, Candidate]], claimed: Candidate, alike: Sequence[str]
+    ranked: Sequence[tuple[float, Candidate]], claimed: Candidate, alike: Sequence[str], bic_penalty: float
 ) -> tuple[Candidate, ...]:
-    """Return the best of each other name that is near or `alike`, and a nameless shape that leads."""
+    """Return the best of each other name that is near or `alike`, and a nameless shape that leads.
+
+    Near is one that fits as well to the last digit, too, however many parameters it has: it is the same thing
+    in these poses.
+    """
     best, leader = ranked[0]
+    same = [one for one in ranked if (one[1].label, one[1].shape.form) == (claimed.label, claimed.shape.form)]
+    own = min((criterion - bic_penalty * c.parameters for criterion, c in same), default=np.inf)
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
         # the claimed one, and another; what it is, whenever it came
         more = any(member.kind == claimed.kind for member in c.members)
         paid = COMPANION_MARGIN if len(c.members) > len(claimed.members) else 0.0
-        near = criterion + paid - best < MARGIN or c.name in alike
+        is_same = abs(criterion - bic_penalty * c.parameters - own) < INDISTINCT
+        near = criterion + paid - best < MARGIN or c.name in alike or is_same
         if c.named and not more and first.kind not in claimed.kind and near:
             others.setdefault(first.label, first)
     if not leader.named:
@@ -327,8 +334,8 @@ def _ranked(
         shortlist[k] = one.candidate
     gains = [float(ratios[i]) - bic_penalty * offered[i].parameters for i in order[:SHORTLIST]]
     for k, gain in enumerate(gains):
-        # a kink at the nearest place scanned may be far behind, and the best where it really is
-        may_lead = not shortlist[k].named and gain > max(SURPASSED_SHARE * gains[0], 0.0)
+        # at the nearest place scanned a kink may be far behind, and the best where it really is
+        may_lead = shortlist[k].effect.refine and gain > max(SURPASSED_SHARE * gains[0], 0.0)
         if (k == 0 or may_lead) and k not in moved:
             shortlist[k] = at_best_place(r, accepted, shortlist[k])
     ranked = []

@@ -45,7 +45,8 @@ from calrig.calibration.diagnosis.significance_test import (
     gate,
     model_of,
 )
-from calrig.calibration.effects.unnamed import TIMES, UNSTEADY, VISITS
+from calrig.calibration.effects.unnamed import UNSTEADY, VISITS
+from calrig.calibration.regression.column_units import TIMES
 from calrig.calibration.regression.effect import APPROACH, ELEVATION
 from calrig.calibration.regression.noise_model import Fit, NoiseModel, noise_of
 from calrig.calibration.regression.responses import Responses

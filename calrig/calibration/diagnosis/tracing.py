@@ -37,11 +37,12 @@ from calrig.calibration.diagnosis.report import (
 )
 from calrig.calibration.diagnosis.reselection import competing_candidates
 from calrig.calibration.diagnosis.selection import Findings, search
-from calrig.calibration.effects.unnamed import TIMES
+from calrig.calibration.effects.stage_periodic import unsearched
 from calrig.calibration.line import FARTHEST_STD_DEG, MIN_SCALE, Line, fit_line, rms
 from calrig.calibration.poses import DiagnosisError, Pose, complete
 from calrig.calibration.progress import Progress, unheard, within
 from calrig.calibration.regression.channels import ANGLE
+from calrig.calibration.regression.column_units import TIMES
 from calrig.calibration.regression.effect import APPROACH
 from calrig.calibration.regression.motion import DERIVED_APPROACH, with_approach
 from calrig.calibration.regression.noise_model import lag1_correlation
@@ -142,7 +143,7 @@ def diagnose(
     has_temperature = any(pose.temperature_c is not None for run in kept for pose in run)
     in_order = not left.starts.all()
     said = warning_of(lack, found=bool(findings.found), temperature=has_temperature, in_order=in_order)
-    told = [sentence for sentence in (said, _unseen_by_gravity(findings), _undone(findings)) if sentence]
+    told = filter(None, (said, _unseen_by_gravity(findings), _undone(findings), unsearched(r)))
     accepted = [f.candidate for f in findings.found]
     most, more = most_outliers(len(r)), beyond(left, accepted, findings.fitted.residuals[:, 0])
     if len(more) and len(r) - len(left) + len(more) > most:

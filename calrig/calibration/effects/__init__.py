@@ -5,7 +5,7 @@ from pkgutil import iter_modules
 
 import numpy as np
 
-from calrig.calibration.effects.unnamed import TIMES, unit_of_column
+from calrig.calibration.regression.column_units import TIMES, unit_of_column
 from calrig.calibration.regression.effect import ApplyError, Covariate, Effect, EffectError
 from calrig.calibration.regression.responses import Responses
 from calrig.estimation.angles import FloatArray

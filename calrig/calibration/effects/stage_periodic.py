@@ -160,6 +160,8 @@ LEAST_LEFT = 0.3
 """Of a wave's power beside bias and scale, at its worst phase: longer periods are not resolved from them."""
 PLACES, MOST_PLACES, PLACES_A_POSE = (3.0, 2.0), 400, 12.0
 """Frequencies scanned to a resolution of 1/arc: fewer where there are many; so many to a pose at most."""
+MOSTLY = 0.9
+"""Of the frequencies that poses resolve: if fewer are searched for, that is said."""
 MOST_HARMONICS = 8
 """Of a worm or a motor: more of them are what a curve is."""
 LEAST_SHARE = 0.5
@@ -183,9 +185,9 @@ def _scan(r: Responses) -> Iterator[Parameters]:
     if not turns(r) or arc < 3.0 * _shortest_deg(r.theta_deg):
         return
     names = _known_orders(r)
-    frequencies, orders = _scanned(r.theta_deg, arc, step_deg(r)), np.array(names) / TURN_DEG
+    frequencies, orders = _scanned(r), np.array(names) / TURN_DEG
     if len(frequencies):
-        orders = orders[orders <= frequencies[-1]]
+        orders = orders[orders <= max(frequencies[-1], _highest(r))]
     if names is OWN_ORDERS:
         frequencies = frequencies[frequencies > OWN_ORDERS[-1] / TURN_DEG]
     periods = 1.0 / np.concatenate([orders, frequencies])
@@ -226,14 +228,29 @@ def _shortest_deg(theta_deg: FloatArray) -> float:
     return min(SHORTEST_PERIOD_DEG, 2.0 * float(np.ptp(theta_deg)) / len(np.unique(theta_deg)))
 
 
-def _scanned(theta_deg: FloatArray, arc: float, step: float | None) -> FloatArray:
-    """Frequencies in cycles per degree, from the turn's second order or so to what the spacing resolves."""
-    lowest, highest = 1.0 / TURN_DEG + APART / arc, 1.0 / _shortest_deg(theta_deg)
-    if step is not None:
-        highest = min(highest, 1.0 / (2.0 * step) - 1.0 / arc)
+def _highest(r: Responses) -> float:
+    """Return the highest frequency that the spacing of the poses resolves, in cycles per degree."""
+    highest, step = 1.0 / _shortest_deg(r.theta_deg), step_deg(r)
+    return highest if step is None else min(highest, 1.0 / (2.0 * step) - 1.0 / float(np.ptp(r.theta_deg)))
+
+
+def _scanned(r: Responses) -> FloatArray:
+    """Frequencies in cycles per degree, from the turn's second order or so to the highest."""
+    arc = float(np.ptp(r.theta_deg))
+    lowest, highest = 1.0 / TURN_DEG + APART / arc, _highest(r)
     finer = next((f for f in PLACES if (highest - lowest) * f * arc <= MOST_PLACES), PLACES[-1])
-    most = min(1.5 * MOST_PLACES, PLACES_A_POSE * len(theta_deg))
+    most = min(1.5 * MOST_PLACES, PLACES_A_POSE * len(r))
     return np.arange(lowest, min(highest, lowest + most / (finer * arc)) + 1e-9, 1.0 / (finer * arc))
+
+
+def unsearched(r: Responses) -> str | None:
+    """Return which periods the poses resolve and a search leaves out, and what to do; None without any."""
+    if not turns(r) or len(frequencies := _scanned(r)) == 0 or frequencies[-1] > MOSTLY * _highest(r):
+        return None
+    return (
+        f"over {np.ptp(r.theta_deg) / TURN_DEG:.0f} turns, of the periods below {1.0 / frequencies[-1]:.3g}° "
+        "orders of the turn alone were searched for: state one that is known (--period)"
+    )
 
 
 def _carried(r: Responses, shape: Shape) -> bool:

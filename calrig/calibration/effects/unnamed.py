@@ -1,7 +1,7 @@
 """Structure that no effect of the catalogue explains, against any column: smooth, kink, step, cycle in time.
 
-The unit at the end of a column's name (`azimuth_deg`, `supply_v`) says how it may act: an angle is a circle;
-where times are known, its rate and its delay are tried as well, and the product of two columns once both are
+The unit at the end of a column's name (`azimuth_deg`, `supply_v`) says how it may act: an angle is a circle.
+Where times are known, its rate and its delay are tried as well, and the product of two columns once both are
 in the model.
 """
 
@@ -15,8 +15,10 @@ import numpy as np
 
 from calrig.calibration.effects.stage_periodic import TURN_DEG, spacing_deg, steps_of
 from calrig.calibration.regression.channels import ANGLE, MOVE, READING
+from calrig.calibration.regression.column_units import TIMES, is_circle, unit_of_column
 from calrig.calibration.regression.effect import (
     ELEVATION,
+    LAST_MOVE,
     ApplyError,
     Covariate,
     Documents,
@@ -47,68 +49,6 @@ from calrig.calibration.regression.terms import (
 )
 from calrig.estimation.angle_text import number_text
 from calrig.estimation.angles import FloatArray, Intp
-
-UNITS = {
-    "deg": "°",
-    "arcsec": "″",
-    "rad": "rad",
-    "mrad": "mrad",
-    "dps": "°/s",
-    "rps": "rad/s",
-    "rpm": "1/min",
-    "hz": "Hz",
-    "c": "°C",
-    "k": "K",
-    "s": "s",
-    "ms": "ms",
-    "min": "min",
-    "h": "h",
-    "g": "g",
-    "mg": "mg",
-    "mps2": "m/s²",
-    "v": "V",
-    "mv": "mV",
-    "a": "A",
-    "ma": "mA",
-    "w": "W",
-    "pa": "Pa",
-    "hpa": "hPa",
-    "kpa": "kPa",
-    "mbar": "mbar",
-    "bar": "bar",
-    "pct": "%",
-    "m": "m",
-    "mm": "mm",
-    "um": "µm",
-    "kg": "kg",
-    "n": "N",
-    "nm": "N·m",
-    "ut": "µT",
-    "lx": "lx",
-}
-"""As the end of a name, and as a person writes it."""
-PER = "_per_"
-TIMES = "·"
-"""Between the names of columns that act as a product."""
-
-
-def unit_of_column(name: str) -> str:
-    """Return the unit as a person writes it; empty where the name carries none that is known."""
-    if TIMES in name:
-        units = [unit_of_column(factor) for factor in name.split(TIMES)]
-        return TIMES.join(units) if all(units) else ""
-    counted, per, time = name.lower().rpartition(PER)
-    if per:
-        upper = unit_of_column(counted)
-        return f"{upper}/{UNITS[time]}" if upper and time in UNITS else ""
-    stem, _, ending = name.lower().rpartition("_")
-    return UNITS.get(ending, "") if stem else ""
-
-
-def is_circle(name: str) -> bool:
-    """Return whether a column is an angle, which 360° more leave where it is."""
-    return unit_of_column(name) == UNITS["deg"]
-
 
 LEAST_ARC_DEG = 90.0
 """Over less of a circle its sines are what a smooth curve is."""
@@ -238,6 +178,8 @@ ONE_PLACE = 1e-3
 """Of a column's range: a stage that comes back to a place is as far off."""
 MOST_CYCLES = 60.0
 """A run is searched for cycles in time up to this many, or as many as its poses can show."""
+UNEQUAL = 0.5
+"""Of the longest move, by how much moves differ that tell an overshoot from what comes with direction."""
 ALIKE_STROKES = 0.5
 """Of a cycle in time, the share beyond which curves of the elevation and its direction explain it."""
 Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
@@ -250,6 +192,9 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
         of_turn = [TURN_DEG] if goes_round(r) else []
         for period_deg in [at["period"]] if "period" in at else [*r.known_periods_deg, *of_turn]:
             yield from waves_by_side(r, period_deg)
+    moves_deg = np.abs(r.move_deg[~r.starts])
+    if len(moves_deg) and np.ptp(moves_deg) > UNEQUAL * moves_deg.max():  # else it is as by direction
+        yield _shape(tilted(standardised(r.move_deg)), LAST_MOVE.name, "linear")
     if r.temperature_c is not None and np.ptp(r.temperature_c) > 0.0:
         yield from _of_one(r.temperature_c, "temperature_c", tilted, at)
     for name, column in r.covariates.items():

@@ -77,7 +77,7 @@ ORIGINS: dict[Origin, str] = {
 }
 OF = "of_deg"
 """The place that a harmonic's depends on."""
-HIDDEN = ("pose", "part", "order", "over_s", "harmonic", "span", OF)
+HIDDEN = ("pose", "part", "order", "over_s", "harmonic", "span", "begins", OF)
 """Places that serve the search alone and are in no document."""
 
 

@@ -13,8 +13,8 @@ from typing import Any, Self
 import numpy as np
 
 from calrig.calibration.effects import EFFECTS, UNNAMED, effect_of
-from calrig.calibration.effects.unnamed import TIMES
 from calrig.calibration.line import MIN_SCALE, Line, fit_line
+from calrig.calibration.regression.column_units import TIMES
 from calrig.calibration.regression.effect import (
     ELEVATION,
     OF_SENSOR,
