@@ -31,18 +31,22 @@ from calrig.calibration.diagnosis.report import (
 )
 from calrig.calibration.diagnosis.reselection import Rivals
 from calrig.calibration.diagnosis.selection import Findings, search
-from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about
+from calrig.calibration.diagnosis.sensor_model import Model, fitted_model, linear_about, parts_deg
 from calrig.calibration.diagnosis.significance_test import Noises
 from calrig.calibration.effects.unnamed import AT_EACH_PLACE, BY_SIDE
 from calrig.calibration.line import rms
 from calrig.calibration.poses import Pose
 from calrig.calibration.progress import Progress, unheard
+from calrig.calibration.regression.effect import ELEVATION
 from calrig.calibration.regression.noise_model import LARGEST_RHO, Fit, distance_of, fit, lag1_correlation
 from calrig.calibration.regression.responses import Responses, responses_of
 from calrig.calibration.regression.run_changes import with_free_levels
+from calrig.calibration.regression.terms import goes_round, less_line
 from calrig.estimation.angles import FloatArray
 
 FOLDS = 4
+LEAST_OWN = 0.1**0.5
+"""Of a curve of the angle, what the others beside it leave of one that is claimed alone."""
 LEAST_GAIN = 1e-3
 """Of the error on held-out poses: what lowers it by less gains nothing."""
 BOOTSTRAPS = 270
@@ -343,7 +347,8 @@ def not_predictive(
     It fails where the blocks' error is smaller without it and its coefficients, from the rest of the poses,
     contradict those from all of them (Hausman, Econometrica 46, 1978). A block that the rest cannot predict,
     the effect being true, contradicts nothing. Nor is a name claimed alone whose size, by the errors that are
-    stated of it, is not as certain as one that enters: it differs from part to part of the run.
+    stated of it, is not as certain as one that enters: it differs from part to part of the run. Nor is
+    one that the other curves of a part of the turn contain.
 
     Args:
         r: the poses.
@@ -357,12 +362,15 @@ def not_predictive(
     folds, model = _folds(r), fitted_model(r, accepted)
     own = own_columns(model.columns, accepted)
     stated = covariance_with_places(model)
+    contained = _contained(model)
 
     def judged(place: int, one: SelectedEffect) -> SelectedEffect:
         others = tuple(c for c in accepted if c is not one.candidate)
         rival = _nameless(one.candidate, offered) if one.candidate.named else None
         if rival is None:
             return one
+        if one.candidate in contained:
+            return one.against(rival, "the other curves of the angle contain it: together they are one curve")
         at, least = own[place], least_standard_errors(one.candidate, others)
         if distance_of(model.fitted.beta[at], stated[at, at]) < least**2:
             return one.against(rival, f"its size is below {least:g} standard errors")
@@ -373,6 +381,27 @@ def not_predictive(
         return one
 
     return tuple(judged(place, one) for place, one in enumerate(found))
+
+
+def _contained(model: Model) -> list[Candidate]:
+    """Return the named curves of a part of the turn that the others of the elevation contain nearly whole.
+
+    One of them, taken out, would be made up for: a variance inflation factor above 10 (Belsley, Kuh & Welsch,
+    Regression Diagnostics, 1980, section 3.2). So would a wave of which the arc has less than two.
+    """
+    r, accepted = model.responses, model.accepted
+    curves = [k for k, c in enumerate(accepted) if c.covariate == ELEVATION.name]
+    if goes_round(r) or len(curves) < 2:
+        return []
+    parts, own, found = parts_deg(r, accepted, model.fitted.beta), own_columns(model.columns, accepted), []
+    for k in (k for k in curves if accepted[k].named):
+        others = np.column_stack([model.columns[:, 0, own[other]] for other in curves if other != k])
+        beside, part_deg = less_line(r, others), less_line(r, parts[k])
+        left_deg = part_deg - beside @ np.linalg.lstsq(beside, part_deg, rcond=None)[0]
+        is_long = accepted[k].shape.at.get("period_deg", 0.0) > r.arc_deg / 2.0
+        if is_long or rms(left_deg) < LEAST_OWN * rms(part_deg):
+            found.append(accepted[k])
+    return found
 
 
 def _folds(r: Responses) -> dict[str, Intp]:

@@ -41,6 +41,8 @@ PAIR_MARGIN = 8.0
 """Of the criterion, by which two effects must beat the best one to enter together, and the second of them
 must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
 """
+EQUAL = 0.01
+"""Of −2 log likelihood: what differs by less is the same thing, if it has other parameters."""
 INDISTINCT = 0.5
 """Of −2 log likelihood: periods that evenly spaced poses cannot tell apart at all, whatever the noise."""
 ALIAS_SHARE = 0.6
@@ -221,7 +223,7 @@ def _rivals(
         # the claimed one, and another; what it is, whenever it came
         more = any(member.kind == claimed.kind for member in c.members)
         paid = COMPANION_MARGIN if len(c.members) > len(claimed.members) else 0.0
-        is_same = abs(criterion - bic_penalty * c.parameters - own) < INDISTINCT
+        is_same = abs(criterion - bic_penalty * c.parameters - own) < EQUAL
         near = criterion + paid - best < MARGIN or c.name in alike or is_same
         if c.named and not more and first.kind not in claimed.kind and near:
             others.setdefault(first.label, first)
