@@ -84,3 +84,37 @@ def test_errors_of_the_axes_are_considered_with_an_accelerometer_or_over_a_full_
     considered = {one["name"] for effect in found_in(poses)["effects"] for one in effect["considered"]}
     assert considered
     assert bool(OF_THE_AXES & considered) == bool(offered)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_warm_up_and_a_curve_of_the_angle_do_not_hide_each_other(seed):
+    """One stroke each way: each alone leaves the other, which looks like slow noise."""
+    rng = np.random.default_rng(seed)
+    up_deg = np.arange(-60.0, 61.0, 4.0)
+    theta_deg = np.append(up_deg, up_deg[::-1])
+    time_s = 12.0 * np.arange(len(theta_deg))
+    warmer_c = 12.0 * (1.0 - np.exp(-time_s / 400.0))
+    error_deg = 0.025 * warmer_c + 0.15 * np.sin(np.radians(2.0 * theta_deg))
+    run = posed(
+        target_deg=theta_deg,
+        reading_deg=theta_deg + error_deg + rng.normal(0.0, 0.02, len(theta_deg)),
+        time_s=time_s,
+        temperature_c=np.round(22.0 + warmer_c, 1),
+    )
+    found = found_in(run)
+    followed = {effect["covariate"] for effect in found["effects"]}
+    assert "target_deg" in followed
+    assert followed & {"temperature_c", "time_s"}
+    assert found["final"]["fit_rms_deg"] < 0.025
+
+
+def test_a_slip_between_two_equal_passes_is_told_from_no_drift():
+    """With the scale free, a step between the passes is a drift to the last digit."""
+    theta_deg = np.tile(np.arange(0.0, 201.0, 8.0), 2)
+    time_s = 8.0 * np.arange(len(theta_deg))
+    slipped_deg = 0.35 * (np.arange(len(theta_deg)) >= len(theta_deg) // 2)
+    noise_deg = np.random.default_rng(1).normal(0.0, 0.02, len(theta_deg))
+    run = posed(target_deg=theta_deg, reading_deg=theta_deg + slipped_deg + noise_deg, time_s=time_s)
+    (effect,) = found_in(run)["effects"]
+    assert effect["verdict"] == "ambiguous"
+    assert {effect["name"], *effect["confusable_with"]} >= {"time_drift", "mount_slip"}

@@ -167,6 +167,22 @@ def test_an_outlier_too_many_is_told_by_its_angle() -> None:
     assert more.startswith("1 ") and "at 50°" in more
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_an_outlier_that_hides_a_curve_leaves_with_it(seed: int) -> None:
+    """A magnet beside a motor: dwells of a few rows, and one read while the arm still swung back."""
+    rng = np.random.default_rng(seed)
+    there = np.append(np.repeat(np.arange(0.0, 131.0, 10.0), rng.integers(1, 5, 14)), [92.0, 87.0, 85.0])
+    error = (
+        37.0 * (there / 130.0) ** 6 - 14.0 * np.sin(np.pi * there / 130.0) + rng.normal(0.0, 0.5, len(there))
+    )
+    error[-3] += 28.0
+    theta = there + rng.normal(0.0, 0.3, len(there))
+    found = document(diagnose([posed(target_deg=theta, reading_deg=theta + error)], bootstraps=99), ["1"])
+    assert {effect["covariate"] for effect in found["effects"]} == {"target_deg"}
+    assert sum(f"pose {len(theta) - 3} at" in said for said in found["warnings"]) == 1
+    assert found["final"]["fit_rms_deg"] < 0.1 * found["base"]["fit_rms_deg"]
+
+
 @pytest.mark.parametrize("event", ["slip", "dent", "many", "small"])
 def test_what_may_be_an_effect_is_no_gross_error(event: str) -> None:
     theta = passes(4)

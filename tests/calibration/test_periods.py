@@ -418,6 +418,31 @@ def test_the_spectral_window_shows_the_spacing_and_jitter_takes_it_away(jitter_d
     assert peaks == pytest.approx(expected, abs=1e-3)
 
 
+def test_over_many_turns_an_order_is_found_and_what_is_not_searched_for_is_said():
+    rng = np.random.default_rng(3)
+    theta_deg = rng.uniform(0.0, 40.0 * 360.0, 900)
+    error_deg = 0.05 * np.sin(np.radians(12.0 * theta_deg)) + rng.normal(0.0, 0.01, 900)
+    run = posed(target_deg=theta_deg, reading_deg=theta_deg + error_deg)
+    found = diagnose([run], request=DiagnosisRequest(reference="good"), bootstraps=99, cross_fit=False)
+    assert [f.candidate.shape.at["period_deg"] for f in found.findings.found] == [30.0]
+    assert any("--period" in said for said in found.warnings)
+    in_a_turn = [replace(p, target_deg=p.target_deg / 40.0, reading_deg=p.reading_deg / 40.0) for p in run]
+    assert not any("--period" in said for said in diagnose([in_a_turn[::4]], cross_fit=False).warnings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_name_is_claimed_alone_of_a_curve_that_others_contain(seed):
+    """A quartic over 140°: a cubic and an order of the turn, or an eccentricity, that undo each other."""
+    rng = np.random.default_rng(seed)
+    theta_deg = rng.uniform(0.0, 140.0, 150)
+    u = theta_deg / 70.0 - 1.0
+    error_deg = 6.0 * u**4 - 4.0 * u**3 + rng.normal(0.0, 0.08, 150)
+    run = posed(target_deg=theta_deg, reading_deg=theta_deg + error_deg)
+    found = document(diagnose([run], request=DiagnosisRequest(reference="good"), bootstraps=199), ["1"])
+    assert len(found["effects"]) == 1 or all(e["verdict"] != "named" for e in found["effects"])
+    assert found["final"]["held_out_rms_deg"] < 0.12
+
+
 @pytest.mark.parametrize("amplitude_deg", [0.5, 1.05])
 def test_a_wave_so_steep_that_readings_turn_back_is_found_and_no_correction(amplitude_deg: float) -> None:
     rng = np.random.default_rng(9)

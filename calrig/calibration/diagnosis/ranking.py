@@ -26,6 +26,7 @@ from calrig.calibration.diagnosis.sensor_model import (
     fitted_model,
     is_shift_seen,
 )
+from calrig.calibration.effects.backlash import YIELDING
 from calrig.calibration.effects.stage_periodic import spacing_deg
 from calrig.calibration.regression.effect import Shape
 from calrig.calibration.regression.noise_model import Fit
@@ -336,8 +337,9 @@ def _ranked(
         shortlist[k] = one.candidate
     gains = [float(ratios[i]) - bic_penalty * offered[i].parameters for i in order[:SHORTLIST]]
     for k, gain in enumerate(gains):
-        # at the nearest place scanned a kink may be far behind, and the best where it really is
-        may_lead = shortlist[k].effect.refine and gain > max(SURPASSED_SHARE * gains[0], 0.0)
+        # at the nearest place scanned a kink, or a yield, may be far behind, and the best where it really is
+        is_coarse = not shortlist[k].named or shortlist[k].shape.form == YIELDING
+        may_lead = is_coarse and gain > max(SURPASSED_SHARE * gains[0], 0.0)
         if (k == 0 or may_lead) and k not in moved:
             shortlist[k] = at_best_place(r, accepted, shortlist[k])
     ranked = []

@@ -248,8 +248,8 @@ def unsearched(r: Responses) -> str | None:
     if not turns(r) or len(frequencies := _scanned(r)) == 0 or frequencies[-1] > MOSTLY * _highest(r):
         return None
     return (
-        f"over {np.ptp(r.theta_deg) / TURN_DEG:.0f} turns, of the periods below {1.0 / frequencies[-1]:.3g}° "
-        "orders of the turn alone were searched for: state one that is known (--period)"
+        f"of the periods below {1.0 / frequencies[-1]:.3g}° that these poses resolve, only "
+        "orders of the turn were searched for: state one that is known (--period)"
     )
 
 
