@@ -212,23 +212,23 @@ def _rivals(
 ) -> tuple[Candidate, ...]:
     """Return the best of each other name that is near or `alike`, and a nameless shape that leads.
 
-    Near is one that fits as well to the last digit, too, however many parameters it has: it is the same thing
-    in these poses.
+    Near is one of the same column that fits as well to the last digit, too, however many parameters it has:
+    it is the same thing in these poses.
     """
     best, leader = ranked[0]
     same = [one for one in ranked if (one[1].label, one[1].shape.form) == (claimed.label, claimed.shape.form)]
-    own = min((criterion - bic_penalty * c.parameters for criterion, c in same), default=np.inf)
+    own, its = min((one - bic_penalty * c.parameters for one, c in same), default=np.inf), claimed.covariate
     others: dict[str, Candidate] = {}
     for criterion, c in ranked:
         first = c.members[0]  # of two that only together explain it, the one that leads is the suspect
         # the claimed one, and another; what it is, whenever it came
         more = any(member.kind == claimed.kind for member in c.members)
         paid = COMPANION_MARGIN if len(c.members) > len(claimed.members) else 0.0
-        is_same = abs(criterion - bic_penalty * c.parameters - own) < EQUAL
+        is_same = c.covariate == its and abs(criterion - bic_penalty * c.parameters - own) < EQUAL
         near = criterion + paid - best < MARGIN or c.name in alike or is_same
         if c.named and not more and first.kind not in claimed.kind and near:
             others.setdefault(first.label, first)
-    if not leader.named:
+    if not leader.named and all(member.kind != claimed.kind for member in leader.members):
         others[leader.label] = leader
     return tuple(others.values())
 
