@@ -32,7 +32,6 @@ class Candidate:
     """The run of a new calibration, as far as it can be doubted.
 
     Attributes:
-        unit, rig: of the run.
         run_id: None before it is stored.
         finished_at: aware; now, while it is being completed.
         mismatches: moves in which unit and stage disagree.

@@ -121,14 +121,9 @@ class ChannelNoise:
     """The noise of one channel, in its unit.
 
     Attributes:
-        name: the channel's.
         unit: as a person writes it.
-        allan: overlapping Allan deviation.
-        coefficients: fitted to it.
-        psd: one-sided power spectral density.
         psd_slope: its slope with the lines left out; None where the log is too short.
         lines: spectral lines, strongest first.
-        distribution: mean, standard deviation, histogram, and whether a Gaussian fits.
         temperature: dependence on it; None where the log does not tell.
         colour: in one word; None where there is no telling.
     """

@@ -50,12 +50,8 @@ def temperature_of(
 ) -> Temperature | None:
     """Return the slope of a channel over temperature.
 
-    Args:
-        x: (N,) finite samples.
-        temperature_c: (N,) finite; None where the log has none.
-        rate_hz: samples a second.
-        segments: runs of samples without a gap, in order.
-        start_s: when each begins, in s.
+    `x` and `temperature_c` (N,) are finite; each segment is a run of samples without a gap and begins at its
+    `start_s`.
 
     Returns:
         None without temperature, with fewer than `MIN_PARTS` parts, or where their temperatures span less
@@ -99,11 +95,8 @@ def _times(
 def _variance(rest: FloatArray, columns: FloatArray, slope_of: FloatArray, t: FloatArray) -> float:
     """Return variance of the slope under white noise and an autoregression, over their shares and its times.
 
-    Args:
-        rest: (parts,) residuals of least squares.
-        columns: (parts, 2) of the fit.
-        slope_of: (parts,) the slope is its product with the means.
-        t: (parts,) when, in parts.
+    `rest` (parts,) are residuals of least squares, `columns` (parts, 2) of the fit; the slope is the product
+    of `slope_of` (parts,) with the means, at times `t` in parts.
     """
     n, p = columns.shape
     apart = np.abs(t[:, None] - t)

@@ -90,7 +90,6 @@ class FollowUpRun:
         earlier: the runs, whose diagnosis left something ambiguous.
         separates: names of the suspects.
         deciding: how many poses of a sweep, its first, are there to decide; the others confirm.
-        plan: of the follow-up.
         limits_deg: soft limits of the rig.
         decided_on: indices of the measured poses that served to decide.
     """

@@ -124,10 +124,7 @@ class BoardCheck:
 def evaluate_board(identity: BoardIdentity, samples: Samples, stage_deg: float | None) -> BoardCheck:
     """What a board's word and its samples of a moment are.
 
-    Args:
-        identity: of the board.
-        samples: of a moment.
-        stage_deg: elevation at which the stage was left; None where that is not known.
+    `stage_deg` is the elevation at which the stage was left; None where that is not known.
     """
     accel_g = samples.accel_g.mean(axis=0)
     if np.isnan(accel_g).any():

@@ -49,9 +49,6 @@ class StagePosition:
     """One rig's stage. It writes nothing of a stage that can home.
 
     Args:
-        store: remembers.
-        rig: as configured.
-        run: that moves it.
         said_deg: a person's word for the elevation at which it stands; None where nobody said.
         resumes: whether the run was interrupted, and can be resumed later where it cannot now.
     """
@@ -322,9 +319,7 @@ def open_rig(
 def stop_stage(settings: RigSettings, opened: Callable[[], None] = lambda: None) -> None:
     """Opens the stage of a rig that nobody uses, tells it to stop, sees that it stands, and closes it.
 
-    Args:
-        settings: the rig.
-        opened: is called once the port has opened, or has not.
+    `opened` is called once the port has opened, or has not.
 
     Raises:
         InstrumentError: the rig has no port, or it does not open, or the stage is not known to stand.

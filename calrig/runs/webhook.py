@@ -47,9 +47,7 @@ class Webhook:
     """A thread that notes ends of runs and delivers them.
 
     Args:
-        service: whose runs.
         settings: where to, and the key.
-        now: the time of day.
 
     Raises:
         SettingsError: there is no key.

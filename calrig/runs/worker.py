@@ -46,11 +46,7 @@ class RunExecution:
         is_under_way: whether a failure from here on is the run's own; else an interrupted run stays so.
 
     Args:
-        task: the run.
         store: has what was accepted so far, and keeps the wires of a run that failed.
-        issuer: makes the draft.
-        recorder: is told what happens.
-        control: says when it is to end.
         record: folder for transcripts of every byte on the wires; None for none.
     """
 

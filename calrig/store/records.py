@@ -302,7 +302,6 @@ class Basis:
 
     Attributes:
         runs: ids of the runs, all of one rig.
-        units: serials of their units.
         linear: whether the units were stated to have no quadratic and cubic terms.
         periods_deg: of gears that somebody knew.
         seat_std_deg: how far one clamping was said to scatter from the next; None where nobody did.
@@ -323,7 +322,6 @@ class Solved:
 
     Attributes:
         rig: whose stage it is of; None where the runs name none.
-        basis: what it rests on.
         document: CONTRACT section 8.
         calibrations: CONTRACT section 6 by serial, with the uncertainty of this solution.
         stage_map: what `stage-map.json` has.

@@ -354,12 +354,7 @@ def agent_url(centre: URL, role: str, password: str, host: str | None, port: int
 
     Across a network the server has to prove by its certificate who it is (`verify-full`).
 
-    Args:
-        centre: by which the centre reaches the database.
-        role: of the bench.
-        password: of the role.
-        host: by which agents reach the server; None where the centre's does.
-        port: likewise.
+    `host` and `port` are those by which agents reach the server; None where the centre's do.
     """
     place = centre if host is None else centre.set(host=host, query={})
     place = place.set(port=place.port if port is None else port)

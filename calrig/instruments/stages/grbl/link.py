@@ -53,7 +53,6 @@ class GrblLink:
     """One controller on a port.
 
     Attributes:
-        lines: what is written and read.
         firmware: from its banner, None before one was seen.
         resets: how many banners have come.
         alarm: the last alarm that came; None after it was dealt with.
