@@ -101,7 +101,6 @@ def own_processes(slots: int | None = None) -> Iterator[Workers]:
 
 
 async def _end(processes: Processes) -> None:
-    """Gives up what is in hand, and ends the processes."""
     pieces = asyncio.all_tasks() - {asyncio.current_task()}
     for piece in pieces:
         piece.cancel()

@@ -129,7 +129,6 @@ class _Body:
 
     @property
     def is_coming(self) -> bool:
-        """Whether the service waits for the client."""
         return self._waiting is not None
 
     @property

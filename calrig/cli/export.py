@@ -136,7 +136,6 @@ def export(
 
 
 def _table(step_deg: float | None, lsb_deg: float | None) -> CalibrationExporter:
-    """Return the exporter of a table with steps of its own."""
     from calrig.export.formats.table import EXPORTER, STEP_DEG, correction_table, refuse_steps
 
     step_deg = STEP_DEG if step_deg is None else step_deg
@@ -323,7 +322,6 @@ def _check_target(form: Form, out: Path | None) -> None:
 
 
 def _put(certificate: bytes, out: Path | None) -> None:
-    """Writes a certificate into a file, or to standard output."""
     if out is None:
         sys.stdout.buffer.write(certificate)
         return
@@ -350,7 +348,6 @@ def _certificate_of(
 
 
 def _export_archive(there: Client | None, unit: str | None, out: Path | None, db: str | None) -> None:
-    """Write the archive of a unit, from a service or a store, to a new file."""
     from calrig.export.new_file import write_new
 
     if unit is None or out is None:
@@ -367,7 +364,6 @@ def _export_archive(there: Client | None, unit: str | None, out: Path | None, db
 
 
 def _export_all(folder: Path, db: str | None) -> None:
-    """Writes the poses of all completed runs of a store as Parquet files."""
     from calrig.export.poses_parquet import write_poses
 
     with open_store(db) as store, late_bar("exporting") as show:

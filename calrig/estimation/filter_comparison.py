@@ -119,10 +119,7 @@ class Filter:
 def filter_bank(*, with_gyro: bool, tuned: KalmanNoise | None, gyro_scale: float = 1.0) -> list[Filter]:
     """Return every filter, in the order in which tables and figures show them.
 
-    Args:
-        with_gyro: whether the log has a rate.
-        tuned: noise of the tuned filter, which is driven by `midpoint_rate_dps`.
-        gyro_scale: what the rate is multiplied by for it.
+    `tuned` is the noise of the tuned filter, which is driven by `midpoint_rate_dps` times `gyro_scale`.
     """
     return [
         Filter("raw", "accelerometer alone", True, lambda _time, elevation, _rate: elevation),

@@ -291,7 +291,6 @@ def _next_row(data: bytes, begin: int, line: int) -> _Row:
 
 
 def _cells(row: _Row, dialect: Dialect) -> list[str]:
-    """The cells of one line."""
     try:
         text = row.text.decode()
         return next(csv.reader([text], delimiter=dialect.separator, strict=True))

@@ -48,7 +48,6 @@ def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Seque
 
 
 def _means(values: FloatArray, count: int) -> FloatArray:
-    """Return means of so many values each, one after the other."""
     whole = len(values) // count
     return np.asarray(values[: whole * count].reshape(whole, count).mean(axis=1), dtype=np.float64)
 
@@ -199,7 +198,6 @@ def analyse(
 
 
 def _of_rest(log: UniformLog) -> tuple[str, ...]:
-    """Return what is to be said of a log that is not of a sensor at rest."""
     turn = turn_deg(log.channels, log.rate_hz, log.segments)
     if turn is None or turn < LEAST_TURN_DEG:
         return ()
@@ -210,7 +208,6 @@ def _of_rest(log: UniformLog) -> tuple[str, ...]:
 
 
 def _of_knocks(knocks: Mapping[str, Sequence[slice]]) -> tuple[str, ...]:
-    """Return what is to be said of stretches left out."""
     return tuple(
         f"{name} lies far from its other samples for a moment, as of a knock: samples "
         f"{', '.join(f'{one.start + 1} to {one.stop}' for one in found)} are left out of every channel."

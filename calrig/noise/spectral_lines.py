@@ -86,11 +86,8 @@ def excess(power: FloatArray, k: int, height: float, averaged: int) -> tuple[flo
     The background is the power law, or from 48 bins on its parabola on a double logarithmic scale, that fits
     the bins around best.
 
-    Args:
-        power: (M,) of each bin, exponential about the background, or means over `averaged` such.
-        k: the peak's bin.
-        height: the peak's power; `power[k]` or a maximum beside it.
-        averaged: independent values that each bin is the mean of.
+    `power` (M,) is exponential about the background, or means over `averaged` such; `height` is `power[k]` or
+    a maximum beside it.
 
     Returns:
         The ratio of the peak to the background, and the p-value of such a ratio at this one bin; 1 where the

@@ -235,7 +235,6 @@ class PresenceMonitor:
         return poses[-1].pose.stage_deg if poses else None
 
     def _watch(self, watch: _Watch) -> None:
-        """Looks until nobody wants it."""
         assert watch.rig.imu is not None  # noqa: S101 (as asked for)
         try:
             while True:
@@ -291,7 +290,6 @@ class PresenceMonitor:
 
 
 def _samples(board: Board, identity: BoardIdentity) -> Samples:
-    """Those of a moment."""
     rate_hz = identity.rate_hz or min(RATE_HZ, identity.max_rate_hz or RATE_HZ)
     wanted, blocks, count = max(FEWEST, round(LOOK_S * rate_hz)), [], 0
     board.start(round(rate_hz))

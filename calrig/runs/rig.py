@@ -89,10 +89,7 @@ class StagePosition:
 
         Stores it where they agree.
 
-        Args:
-            stage_deg: elevation, as the stage says.
-            felt_deg: elevation, by the unit's accelerometer.
-            mount: how the unit is clamped.
+        `felt_deg` is the elevation by the unit's accelerometer.
 
         Raises:
             StageError: they differ by more than the unit's known bias and `MOST_OFF_DEG`.

@@ -289,7 +289,6 @@ def _block_numbers(session: Session, run_id: str, pose: int | None) -> list[tupl
 
 
 def _packed_blocks(session: Session, numbers: Sequence[int]) -> list[bytes]:
-    """The packed blocks of these rows, one after the other."""
     packed: list[bytes] = []
     for first in range(0, len(numbers), VARIABLES):
         some = col(SampleBlockTable.id).in_(numbers[first : first + VARIABLES])

@@ -132,7 +132,6 @@ def _remove_revisions(session: Session, serial: str) -> None:
 
 
 def _units(session: Session, serials: Sequence[str] | None = None) -> list[Unit]:
-    """All units by serial, or some."""
     wanted = (
         select(UnitTable, func.count(col(RunTable.id)), func.max(RunTable.created_at, type_=UtcText()))
         .join(RunTable, isouter=True)

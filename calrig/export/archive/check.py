@@ -231,11 +231,7 @@ def solution_differences(
 ) -> Iterator[str]:
     """Solve a joint solution again, and yield what of a unit's document it does not give.
 
-    Args:
-        document: CONTRACT section 6.
-        basis: rig, runs and assumptions of the solution (`calrig.store.records.Basis`).
-        stale: what has changed since of the runs.
-        run_of: gives a run with its poses and their indices.
+    `basis` is a `calrig.store.records.Basis`; `stale` says what has changed of the runs since.
 
     Raises:
         NotRefitted: something that the solution needs is not there.

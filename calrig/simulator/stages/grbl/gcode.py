@@ -251,12 +251,8 @@ def parse(
 ) -> Block:
     """Check a line against what is in force.
 
-    Args:
-        line: upper case, without blanks and comments; of a jog, what follows `$J=`.
-        state: what is in force.
-        offsets: stored coordinate systems (0 to 5) and the places of G28 and G30.
-        axes: letters of the axes that there are.
-        is_jog: whether it is a `$J=` line.
+    `line` is in upper case, without blanks and comments; of a jog, what follows `$J=`. `offsets` are stored
+    coordinate systems (0 to 5) and the places of G28 and G30, `axes` the letters of the axes that there are.
 
     Raises:
         Refusal: the line is not executed.
