@@ -135,7 +135,6 @@ class PlaceSums:
     """Sums of residuals by rig and unit, elevation and approach.
 
     Attributes:
-        pairs: rig and unit.
         pair: (K,) index into those.
         place: (K,) elevation in steps of `PLACE_DEG` with the approach, as one number that orders both.
         sums, counts: (K,) of the residuals, in degrees.

@@ -35,7 +35,6 @@ class Candidate:
         run_id: None before it is stored.
         finished_at: aware; now, while it is being completed.
         mismatches: moves in which unit and stage disagree.
-        homes: whether the stage can look for its reference.
     """
 
     unit: str

@@ -58,7 +58,6 @@ class Settling:
 
     Attributes:
         least_s: until the stage is at rest.
-        said: how that is known, in words.
         gyro: of the filter that is to forget the moves; None where nothing is known of it.
     """
 

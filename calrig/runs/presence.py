@@ -72,7 +72,6 @@ class BoardCheck:
         trouble: why none answers.
         accel_g: mean specific force; None of a board that sends an angle of its own.
         own_deg: that angle, whose zero may be anywhere.
-        moves: whether somebody has the unit in hand.
         stage_deg: elevation at which the last run left the stage; None where that is not known.
     """
 

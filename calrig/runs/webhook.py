@@ -46,9 +46,6 @@ SHORTEST_SECRET = 16
 class Webhook:
     """A thread that notes ends of runs and delivers them.
 
-    Args:
-        settings: where to, and the key.
-
     Raises:
         SettingsError: there is no key.
     """

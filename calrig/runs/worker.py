@@ -42,7 +42,6 @@ class RunExecution:
         fields: what has come of it, to be written with its end.
         warnings: what a person must know then, beside an error.
         draft: of a calibration, what it makes of its unit.
-        has_reached_rig: whether both devices answered.
         is_under_way: whether a failure from here on is the run's own; else an interrupted run stays so.
 
     Args:

@@ -220,12 +220,9 @@ class Samples(Repository):
             yield from blocks
 
     def prune(self, before: datetime) -> int:
-        """Deletes the raw samples of runs made before then and no longer going on, and nothing else.
+        """Deletes the raw samples of runs made before then and no longer going on; returns how many.
 
         `before` is an aware time.
-
-        Returns:
-            How many samples were deleted.
         """
         old = select(RunTable.id).where(RunTable.created_at < before, col(RunTable.status).not_in(UNFINISHED))
         of_old_runs = col(SampleBlockTable.run_id).in_(old)

@@ -253,10 +253,6 @@ class RawSamples:
     """n raw samples in the order taken, as `calrig.instruments.types.Samples` has them.
 
     Attributes:
-        time_s: (n,) the board's clock since it was started.
-        accel_g: (n, 3) specific force along the sensor's x, y, z.
-        gyro_dps: (n, 3) angular rate about x, y, z.
-        temperature_c: (n,) die temperature.
         angle_deg: (n,) elevation as the board computed it; None where it sends what it measured.
     """
 

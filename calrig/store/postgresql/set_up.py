@@ -236,12 +236,9 @@ def role_name(connection: Connection, bench: str) -> str:
 
 
 def let_in(connection: Connection, role: str) -> str:
-    """Makes a bench's role, or lets one in again, with a new password.
+    """Makes a bench's role, or lets one in again, with a new password, which it returns.
 
     The server gets the SCRAM verifier alone: its log may keep statements.
-
-    Returns:
-        The password.
     """
     password, name = secrets.token_urlsafe(32), sql.Identifier(role)
     verifier = driver_of(connection).pgconn.encrypt_password(

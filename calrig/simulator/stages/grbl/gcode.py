@@ -44,13 +44,10 @@ class Refusal(Exception):  # noqa: N818 (an answer of the dialect, caught where 
 
 
 def read_number(text: str, start: int) -> tuple[float, int]:
-    """Read the number that begins at an index of a line, by GRBL's own routine (nuts_bolts.c).
+    """Read a number by GRBL's own routine (nuts_bolts.c); return it and the index after it.
 
     No exponent passes it, and no ninth digit. Leading zeros count as digits. From the ninth on, they are
     zeros before the decimal point, nothing after.
-
-    Returns:
-        The number and the index after it.
 
     Raises:
         Refusal: there is no digit (2, bad number format).
