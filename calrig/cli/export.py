@@ -223,11 +223,7 @@ def _exported_there(
 
 
 def _revision_there(client: Client, run_id: str | None, unit: str | None) -> tuple[str, RevisionThere]:
-    """Return a unit and its revision at a service: the newest of the run; else in force, else the latest.
-
-    Raises:
-        WorkError: there is none.
-    """
+    """Return a unit and its revision at a service: the newest of the run; else in force, else the latest."""
     if unit is not None:
         standing = [one for one in client.calibrations(unit) if one.status != "withdrawn"]
         if not standing:

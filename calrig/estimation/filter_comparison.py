@@ -196,7 +196,6 @@ class Jitter:
         peak_to_peak_deg: largest less smallest value within a bin, root-mean-square over the bins.
         step_deg: change of the mean from one bin to the next, root-mean-square (√2 times the Allan deviation
             at 100 ms): what a filter slower than a bin does, which the other two do not see.
-        n_bins: how many bins.
     """
 
     std_deg: float

@@ -141,13 +141,9 @@ class ChannelNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """The noise of a unit, as one static log shows it.
+    """The noise of a unit, as one static log shows it; what is not said here is as of `UniformLog`.
 
     Attributes:
-        rate_hz: samples a second.
-        duration_s: of the log, gaps included.
-        gaps: how often samples were missing.
-        not_finite: samples left out since one of their values was not known.
         notes: which knocks were left out, what was done to put the samples on a uniform grid, and whether
             the sensor moved.
         channels: by name; the log's in its order, then `elevation_deg`.

@@ -42,7 +42,6 @@ class CurveData:
     Attributes:
         variance: (J,) Allan variances above 0, the slope's part taken off.
         error: (J,) their standard error beyond what theory gives.
-        slope_per_s: the log's slope.
     """
 
     variance: FloatArray

@@ -146,7 +146,6 @@ class Gridded:
         weight: (rows, width) the window where there is a sample, else 0; `taper` itself without gaps.
         parts: where the samples lie on the grid.
         fast: length of the transform.
-        rate_hz: of the grid.
         scale: largest value of the log as it came.
     """
 

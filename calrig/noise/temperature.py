@@ -34,7 +34,6 @@ class Temperature:
 
     Attributes:
         per_c: in the channel's unit per °C.
-        std: its standard error.
     """
 
     per_c: float

@@ -33,9 +33,6 @@ def _map_in_use(session: Session, run: RunTable) -> StageMap | None:
     """The map of a run; None where it has none, or a pose that counts stands beyond it.
 
     Half a run by a map and half by a certificate would have a step in it that is neither's.
-
-    Raises:
-        Unreadable: what the run keeps of it is damaged.
     """
     try:
         kept = map_of(run.provenance)

@@ -115,11 +115,7 @@ class Units(Repository):
 
 
 def _remove_revisions(session: Session, serial: str) -> None:
-    """All of a unit that is none. The trail keeps their hashes.
-
-    Raises:
-        Refused: one is in force.
-    """
+    """All of a unit that is none. The trail keeps their hashes."""
     wanted = select(IssuedCalibrationTable).where(IssuedCalibrationTable.unit == serial)
     for row in session.exec(wanted).all():
         if row.status == "in_force":

@@ -253,7 +253,6 @@ class Method:
 
     Attributes:
         program: name and version at the time of the calibration.
-        model: as the calibration document has it.
         literature: the paper and the guides that it follows.
     """
 

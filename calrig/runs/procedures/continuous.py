@@ -401,11 +401,7 @@ class ContinuousSweep:
                 passed = []
 
     def _take(self, from_deg: float, passed: list[PlannedPose]) -> None:
-        """One pass, turned anew where it cannot be measured; makes and stores its poses.
-
-        Raises:
-            PassLost: it could not be measured `DWELL_TRIES` times over.
-        """
+        """One pass, turned anew where it cannot be measured; makes and stores its poses."""
         end, why = passed[-1], ""
         for _ in range(DWELL_TRIES):
             self._go_to(from_deg)

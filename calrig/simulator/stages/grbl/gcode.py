@@ -95,7 +95,6 @@ class ParserState:
     Attributes:
         position: where the last accepted line leads.
         system: the work coordinate system in force.
-        g92: the offset of G92.
         tlo: tool length offset, of Z.
     """
 
