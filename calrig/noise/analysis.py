@@ -7,13 +7,14 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.model.noise import SpectralLine, TemperatureDependence
 from calrig.noise.allan import KINDS, AllanCurve, allan_curve, variance_of
 from calrig.noise.coefficients import Coefficients, coefficients
 from calrig.noise.distribution import Distribution, distribution_of, knocks_of
 from calrig.noise.resampling import UniformLog, uniform_log
-from calrig.noise.spectral_lines import Line, find_lines
+from calrig.noise.spectral_lines import find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
-from calrig.noise.temperature import Temperature, temperature_of
+from calrig.noise.temperature import temperature_of
 from calrig.noise.units import accelerometer_channels, unit_of
 
 LEAST_TURN_DEG = 5.0
@@ -65,7 +66,7 @@ NEAR_ADF, NEAR_PSD = 0.2, 0.6
 
 
 def colour_of(
-    curve: AllanCurve, coefficients: Coefficients, psd_slope: float | None, lines: Sequence[Line]
+    curve: AllanCurve, coefficients: Coefficients, psd_slope: float | None, lines: Sequence[SpectralLine]
 ) -> Colour | None:
     """Return what to call the noise; None where there is none, or nothing to tell it by.
 
@@ -133,9 +134,9 @@ class ChannelNoise:
     coefficients: Coefficients
     psd: Psd
     psd_slope: PsdSlope | None
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
     distribution: Distribution
-    temperature: Temperature | None
+    temperature: TemperatureDependence | None
     colour: Colour | None
 
 
