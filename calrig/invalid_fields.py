@@ -62,9 +62,7 @@ _REASONS: dict[str, str] = {
 def in_words(problems: Sequence[Mapping[str, Any]], kind: object = None) -> str:
     """Say what is wrong: the first few fields at fault, each with its reason.
 
-    Args:
-        problems: as pydantic gives them.
-        kind: the model that was asked for, or a list of it; its `TITLES` name its fields.
+    `kind` is the model that was asked for, or a list of it: its `TITLES` name its fields.
     """
     problems = _choices_together(problems)
     said = [sentence(problem, kind) for problem in problems[:SHOWN]]

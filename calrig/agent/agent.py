@@ -80,8 +80,6 @@ class Commands:
     Args:
         heard: a link that does nothing but wait for commands, and for news of orders.
         answers: a link for nothing but answers.
-        service: does what is asked.
-        closing: ends it.
         look: is called where there may be an order.
     """
 
@@ -190,7 +188,6 @@ class Outbox:
     Args:
         link: to the centre, which nobody else waits for.
         store: the spool.
-        closing: ends it.
     """
 
     def __init__(self, link: Link, store: Store, closing: threading.Event) -> None:
@@ -323,10 +320,7 @@ class Heartbeat:
     """In a thread of its own, until `closing` is set.
 
     Args:
-        link: to the centre.
         lease: is renewed by each beat that was answered.
-        service: carries out the runs of the bench.
-        closing: ends it.
         renewed: is called once a lost lease is held again.
         trouble: why the bench takes no orders, None where it does.
     """

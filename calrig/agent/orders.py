@@ -93,11 +93,8 @@ class RigOrders:
     """The orders of one rig, in a thread of its own, until `closing` is set.
 
     Args:
-        rig: of this bench.
         link: to the centre, shared by all that is short.
         lease: without it, nothing is taken.
-        service: carries runs out.
-        closing: ends it.
 
     Attributes:
         trouble: why an order that waits is not taken; None where none waits, or for the rig alone.

@@ -61,10 +61,8 @@ def basis_of(
 ) -> Document:
     """Return the basis of a draft in addition to its run, to be compared with the basis later.
 
-    Args:
-        accepted: effects that enter, of the unit and of its rig.
-        excluded: indices of the run's poses that do not count.
-        chosen: names of the unit's effects, where a person named them; None for all that are accepted.
+    `excluded` are indices of poses; `chosen` names the unit's effects where a person named them, None for
+    all.
     """
     return {
         "effects": {str(effect.id): effect.name for effect in accepted},

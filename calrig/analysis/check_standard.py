@@ -20,11 +20,9 @@ class SuspectPeriod:
     """A period in which a rig was not known to be right: after `after`, before `until`.
 
     Attributes:
-        rig: its name.
         after: when its check standard last passed; when it was named, if it never passed.
         until: when it passed again; None while it has not.
         failed: the check that failed first.
-        reason: sentence for users.
     """
 
     rig: str

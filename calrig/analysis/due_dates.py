@@ -55,13 +55,9 @@ def due_dates(
 ) -> DueDates:
     """When each unit is due.
 
-    Args:
-        store: where they are.
-        found: all histories, where they are known already.
-        serials: the units to tell about; None for all.
-        interval_days: the interval that counts where a history says nothing.
-        limits: those there are, the first that matches a unit counts; without them the store's.
-        now: by which a unit is overdue; without it this moment.
+    `found` are all histories, where they are known already, and `serials` the units to tell about (None for
+    all). `interval_days` counts where a history says nothing; `limits` stand in for those of the store, `now`
+    for this moment.
     """
     found = histories(store, None if serials is None else list(serials)) if found is None else found
     now = now or datetime.now(UTC)

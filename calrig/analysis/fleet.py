@@ -101,7 +101,6 @@ def own_processes(slots: int | None = None) -> Iterator[Workers]:
 
 
 async def _end(processes: Processes) -> None:
-    """Gives up what is in hand, and ends the processes."""
     pieces = asyncio.all_tasks() - {asyncio.current_task()}
     for piece in pieces:
         piece.cancel()
@@ -136,7 +135,6 @@ class PlaceSums:
     """Sums of residuals by rig and unit, elevation and approach.
 
     Attributes:
-        pairs: rig and unit.
         pair: (K,) index into those.
         place: (K,) elevation in steps of `PLACE_DEG` with the approach, as one number that orders both.
         sums, counts: (K,) of the residuals, in degrees.
@@ -152,10 +150,8 @@ class PlaceSums:
 def place_sums(poses: PackedPoses, scale: FloatArray, residual_deg: FloatArray) -> PlaceSums:
     """Those of runs of a known unit on a known rig that turned it.
 
-    Args:
-        poses: R runs of N poses.
-        scale: (R,) NaN where none is known.
-        residual_deg: (N,) what calibration leaves.
+    `poses` are of R runs; `scale` (R,) is NaN where none is known, `residual_deg` (N,) what calibration
+    leaves.
     """
     codes: dict[tuple[str, str], int] = {}
     of_run = np.full(len(poses), -1, dtype=np.int64)
@@ -241,8 +237,6 @@ class Glanced:
     """What the screen says of some runs.
 
     Attributes:
-        run_ids: of all of them.
-        standing_out: of those that stand out.
         sums: for the rigs' maps.
         failed: why, by the id, of those that could not be read or screened.
     """

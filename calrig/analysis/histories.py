@@ -41,7 +41,6 @@ class Histories:
     """N runs that count, by unit, the oldest of each first; arrays (N,) in that order.
 
     Attributes:
-        rows: the runs.
         serials: of the units, in their order here.
         day: when each run finished, in days since 1970.
         figures: bias and scale.
@@ -123,10 +122,7 @@ def change_between(store: Store, before: ComparisonRow, now: ComparisonRow) -> t
     How units repeat is known by the other runs alone: the new one does not judge itself. Where another unit
     was on the rig since, the unit was remounted, and only runs after a remounting tell what that adds.
 
-    Args:
-        store: has all other runs, and perhaps these two.
-        before: the run in force.
-        now: the new run of the same unit.
+    `store` has all other runs, and perhaps these two.
 
     Returns:
         The changes between all runs, without the unit's own after `before`; and the place of this pair.

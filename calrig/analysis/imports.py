@@ -124,12 +124,8 @@ def read_and_fit(
 ) -> Imported:
     """Reads a CSV of poses (CONTRACT section 4) and fits them.
 
-    Args:
-        file: what is in it, or its path.
-        unit: serial number.
-        origin: the rig that the poses were measured on, and its reference.
-        accepted: effects in force for its unit and rig.
-        progress: told the share of the import that is done, 0 to 1; fitting and keeping tell nothing.
+    `file` is what is in it, or its path; `progress` is told the share done, 0 to 1: fitting and keeping tell
+    nothing.
 
     Raises:
         CsvError: the file is bad; says line and column.

@@ -32,11 +32,9 @@ class Candidate:
     """The run of a new calibration, as far as it can be doubted.
 
     Attributes:
-        unit, rig: of the run.
         run_id: None before it is stored.
         finished_at: aware; now, while it is being completed.
         mismatches: moves in which unit and stage disagree.
-        homes: whether the stage can look for its reference.
     """
 
     unit: str

@@ -28,13 +28,8 @@ def fitted(
 ) -> FittedResult:
     """The result of poses of a unit on a rig.
 
-    Args:
-        poses: those that count, at least one.
-        accepted: effects in force for the unit and the rig.
-        provenance: of the run; says what the stage was worth when it was made, and what of a sweep was lost.
-        gyro: what the run's samples say of the gyro.
-        ending: how it came to its end.
-        run_id: of the run that the poses are of; None before an effect can have been accepted from it.
+    `poses` are those that count, at least one. `provenance` says what the stage was worth when the run was
+    made, and what of a sweep was lost. `run_id` is None before an effect can have been accepted from it.
     """
     taken = accepted if not rest_on_map(poses) else [e for e in accepted if e.unit is not None]
     reference = reference_over(poses, provenance, bent=bool(taken))

@@ -347,7 +347,6 @@ class NoDrafts(Issuer):
 
 
 def _figures(document: Document) -> Document:
-    """Return bias, scale and U of a document, with their standard errors."""
     covariance = document.get("covariance") or []
     stds = [math.sqrt(row[k]) for k, row in enumerate(covariance)]
     bias_std_deg, scale_std, *_ = [*stds, None, None]
@@ -361,7 +360,6 @@ def _figures(document: Document) -> Document:
 
 
 def _change(one: Revision, in_force: Revision) -> Document | None:
-    """Return a revision's figures less those in force; None for the revision in force."""
     if one.revision == in_force.revision:
         return None
     now, before = _figures(one.document), _figures(in_force.document)
@@ -371,7 +369,6 @@ def _change(one: Revision, in_force: Revision) -> Document | None:
 
 
 def _acts(store: Store, unit: str) -> dict[int | None, list[Document]]:
-    """Return the releases and withdrawals of each revision of a unit, oldest first."""
     acts: dict[int | None, list[Document]] = {}
     for entry in store.trail.entries(unit=unit, what=("released", "withdrawn"), limit=EVERY_ENTRY):
         said = {"at": entry.at, "what": entry.what, "by": entry.who, "reason": entry.reason}

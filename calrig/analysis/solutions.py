@@ -82,16 +82,12 @@ MOST_POSES = 40_000
 
 @dataclass(frozen=True, slots=True)
 class SolutionRequest:
-    """What is to be solved together.
+    """What is to be solved together; what is not said here is as of `calrig.store.records.Basis`.
 
     Attributes:
         runs: ids; without units they are all.
         units: all calibrations that count of these units, beside the runs named.
         rig: the one rig of the runs; alone, all calibrations that count on it.
-        linear: whether the units are stated to have no quadratic and cubic terms.
-        periods_deg: of gears, as far as they are known.
-        seat_std_deg: repeatability of one clamping of a face to the next, if it is known.
-        frame: of units clamped by several faces, whose their matrix is: `sensor` or `faces`.
         limits_deg: of the stage, which advice keeps to; without them those that the last run was made under.
     """
 

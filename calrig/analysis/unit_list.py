@@ -61,7 +61,6 @@ class UnitFilter:
         text: part of the serial number, in any case.
         verdict: answer or residual of the revision in force; `none` without one.
         due: overdue, within `SOON`, later, or without a date.
-        change: whether it changed.
     """
 
     text: str | None = None

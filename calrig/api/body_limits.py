@@ -102,11 +102,7 @@ class _Body:
         return noted
 
     async def receive(self) -> Message:
-        """Return the next part.
-
-        Raises:
-            HTTPException: the body comes too slowly.
-        """
+        """Return the next part."""
         if self._has_ended:  # then the end of the connection, without a deadline
             return await self._receive()
         loop = asyncio.get_running_loop()
@@ -129,7 +125,6 @@ class _Body:
 
     @property
     def is_coming(self) -> bool:
-        """Whether the service waits for the client."""
         return self._waiting is not None
 
     @property

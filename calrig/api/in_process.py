@@ -105,7 +105,6 @@ class _Exchange(httpx.SyncByteStream):
         return self._portal.call(self._next)
 
     async def carry_out(self, app: ASGIApp, request: httpx.Request) -> None:
-        """Has the application answer."""
         is_asked = False
 
         async def receive() -> Message:

@@ -32,7 +32,6 @@ class Job:
     """One piece of long work, from its question to its answer.
 
     Args:
-        processes: carry out what is heavy in it.
         user: whose share of the processes it takes.
         work: makes the question, has it answered by `run`, and keeps what came of it.
         kept_at: the path where the answer of `work` is then found; without it, it is kept here.

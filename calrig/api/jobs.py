@@ -105,10 +105,8 @@ class BackgroundWork:
     ) -> Any:
         """What the work gives, or raises what it raises; a 202 with its job where nobody waits for it.
 
-        Args:
-            work: as of a `Job`; it has read the request by the time that it has something run.
-            wait: however long it takes.
-            kept_at: as of a `Job`.
+        `work` and `kept_at` are as of a `Job`; by the time that `work` has something run, it has read the
+        request. `wait` is for the answer, however long it takes.
 
         Raises:
             WorkRefused: too much is waiting.

@@ -54,7 +54,6 @@ def _counted(context: ApiContext, run: Run) -> Iterator[list[Pose]]:
 
 
 def _json(run: Run, store: Store, fit: Fit) -> Iterator[bytes]:
-    """A JSON array, piece by piece."""
     begin = b"["
     whole: Iterator[float | None] | None = None
     if fit == "verdict" and run.result is not None and run.result.rms_with_effects_deg is not None:

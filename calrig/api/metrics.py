@@ -44,7 +44,6 @@ class _Standing(Collector):
         self._overdue = overdue
 
     def collect(self) -> Iterator[Metric]:
-        """Every family, in the order shown."""
         yield InfoMetricFamily("calrig_build", "The program that serves.", {"version": calrig.__version__})
         rigs = GaugeMetricFamily("calrig_rig_state", "1 for the state a rig is in.", labels=["rig", "state"])
         for rig in self._service.rigs():

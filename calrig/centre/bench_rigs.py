@@ -179,7 +179,6 @@ class BenchCounts(Collector):
     """Looked up as it is asked for; of a store that cannot be read, nothing.
 
     Args:
-        store: of the centre.
         stuck: the runs of which this process cannot unpack a delivery.
     """
 
@@ -261,12 +260,7 @@ for byte, while there is nothing new."""
 
 
 def overview(store: Store, rigs: Sequence[RigState]) -> list[Document]:
-    """Benches by name, each with its rigs as configured; this machine's own rigs on one without a name.
-
-    Args:
-        store: of the centre.
-        rigs: as the service tells them.
-    """
+    """Benches by name, each with its rigs as configured; this machine's own rigs on one without a name."""
     now = datetime.now(UTC)
     standings = store.rigs.summaries([rig.name for rig in rigs])
 

@@ -118,7 +118,6 @@ class Unpacker:
     """Unpacks until it is closed.
 
     Args:
-        store: of the centre.
         conclude: makes results and drafts of what was completed.
     """
 
@@ -214,7 +213,6 @@ class CentreService(Service):
     in force.
 
     Args:
-        store: of the centre.
         url: of that store, for a connection that hears of news.
         clock: by which answers of benches are waited for.
     """

@@ -102,7 +102,6 @@ def _centre_url(db: str | None, db_file: Path | None) -> str:
 
 
 def _warn_of_password(db: str | None) -> None:
-    """Warn on standard error if the command line holds a password."""
     from sqlalchemy import make_url
 
     from calrig.store.engines import is_centre

@@ -136,7 +136,6 @@ def export(
 
 
 def _table(step_deg: float | None, lsb_deg: float | None) -> CalibrationExporter:
-    """Return the exporter of a table with steps of its own."""
     from calrig.export.formats.table import EXPORTER, STEP_DEG, correction_table, refuse_steps
 
     step_deg = STEP_DEG if step_deg is None else step_deg
@@ -224,11 +223,7 @@ def _exported_there(
 
 
 def _revision_there(client: Client, run_id: str | None, unit: str | None) -> tuple[str, RevisionThere]:
-    """Return a unit and its revision at a service: the newest of the run; else in force, else the latest.
-
-    Raises:
-        WorkError: there is none.
-    """
+    """Return a unit and its revision at a service: the newest of the run; else in force, else the latest."""
     if unit is not None:
         standing = [one for one in client.calibrations(unit) if one.status != "withdrawn"]
         if not standing:
@@ -323,7 +318,6 @@ def _check_target(form: Form, out: Path | None) -> None:
 
 
 def _put(certificate: bytes, out: Path | None) -> None:
-    """Writes a certificate into a file, or to standard output."""
     if out is None:
         sys.stdout.buffer.write(certificate)
         return
@@ -350,7 +344,6 @@ def _certificate_of(
 
 
 def _export_archive(there: Client | None, unit: str | None, out: Path | None, db: str | None) -> None:
-    """Write the archive of a unit, from a service or a store, to a new file."""
     from calrig.export.new_file import write_new
 
     if unit is None or out is None:
@@ -367,7 +360,6 @@ def _export_archive(there: Client | None, unit: str | None, out: Path | None, db
 
 
 def _export_all(folder: Path, db: str | None) -> None:
-    """Writes the poses of all completed runs of a store as Parquet files."""
     from calrig.export.poses_parquet import write_poses
 
     with open_store(db) as store, late_bar("exporting") as show:

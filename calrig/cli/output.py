@@ -496,7 +496,6 @@ def print_filters(found: dict[str, Any]) -> None:
 
 
 def _print_effect(effect: EffectFound, *, reference_is_good: bool) -> None:
-    """Print an effect of a diagnosis in the catalogue's words."""
     from calrig.calibration.effects import EFFECTS, covariate_of
     from calrig.calibration.uncertainty import SAME_EFFECT
 

@@ -125,7 +125,6 @@ def resume(
 def _local_client(
     run_id: str, record: Path | None, db: str | None, config: str | None
 ) -> AbstractContextManager[Client]:
-    """A client of this process with the rig of a run."""
     from calrig.analysis.stored_runs import stored_run
     from calrig.cli.local_service import local_client
     from calrig.settings import load_settings

@@ -334,7 +334,6 @@ class Client(Transport):
 
 
 def _given(**fields: object) -> dict[str, object]:
-    """The fields that have a value."""
     return {name: value for name, value in fields.items() if value is not None}
 
 

@@ -65,10 +65,7 @@ def ignore_progress(_share: float) -> None:
 def outcome(link: Transport, answer: Any, told: Told = ignore_progress) -> Any:
     """What comes of a call with `wait=false`: its answer, or that of the job that it became.
 
-    Args:
-        link: to the service.
-        answer: of the call.
-        told: the share that is done, where the work can say.
+    `told` is given the share that is done, where the work can say.
 
     Raises:
         Refused: the work failed or was cancelled, with the reason.
@@ -99,8 +96,6 @@ class Run:
     """A run; what it is now is asked for each time.
 
     Attributes:
-        id: its id.
-        unit: the serial number of its unit.
         record: the run as it was when it was last looked at.
     """
 

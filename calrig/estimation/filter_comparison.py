@@ -119,10 +119,7 @@ class Filter:
 def filter_bank(*, with_gyro: bool, tuned: KalmanNoise | None, gyro_scale: float = 1.0) -> list[Filter]:
     """Return every filter, in the order in which tables and figures show them.
 
-    Args:
-        with_gyro: whether the log has a rate.
-        tuned: noise of the tuned filter, which is driven by `midpoint_rate_dps`.
-        gyro_scale: what the rate is multiplied by for it.
+    `tuned` is the noise of the tuned filter, which is driven by `midpoint_rate_dps` times `gyro_scale`.
     """
     return [
         Filter("raw", "accelerometer alone", True, lambda _time, elevation, _rate: elevation),
@@ -199,7 +196,6 @@ class Jitter:
         peak_to_peak_deg: largest less smallest value within a bin, root-mean-square over the bins.
         step_deg: change of the mean from one bin to the next, root-mean-square (√2 times the Allan deviation
             at 100 ms): what a filter slower than a bin does, which the other two do not see.
-        n_bins: how many bins.
     """
 
     std_deg: float

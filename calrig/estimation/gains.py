@@ -111,12 +111,6 @@ def samples_to_steady_state(
 ) -> int | None:
     """After how many samples both gains are, and stay, within a share of the steady ones.
 
-    Args:
-        noise: what the filter assumes.
-        dt_s: the sampling interval.
-        within: the share.
-        at_most_s: how far to look.
-
     Returns:
         None where it takes longer than `at_most_s`, or for ever: with q_bias 0 the bias is learnt once and
         for all, by a gain that goes on falling.

@@ -159,13 +159,8 @@ def felt_move_deg(
 ) -> float | None:
     """`move_angle_deg` where the samples can carry it.
 
-    Args:
-        time_s: (n,) as there.
-        rate_dps: (n,) as there.
-        bias_dps: as there.
-        period_s: from one sample to the next.
-        lasts_s: the time that the stage needs for the move; one of less than two periods may pass unseen. 0
-            where nothing is to move.
+    `lasts_s` is the time that the stage needs for the move, 0 where nothing is to move; one of less than two
+    periods `period_s` may pass unseen. The others are as there.
 
     Returns:
         Degrees; None also where samples are missing (`MISSING_PERIODS`), where the move is over within two

@@ -41,7 +41,6 @@ class Whiteness:
     """The tests of one series of normalised innovations.
 
     Attributes:
-        n: how many values.
         variance_ratio: mean of y²/S; 1 where the filter's noise is the data's.
         variance_p_value: two-sided, of n·variance_ratio as chi-square with n degrees of freedom, less what
             the values' own correlation takes: n/(1 + 2·Σρ²).
@@ -77,7 +76,6 @@ class InnovationCheck:
     Attributes:
         verdict: `consistent`; `low_passed` (neighbouring samples alike, right over 100 ms); `varies_more`,
             `varies_less` (than the filter assumes); `correlated`; `too_short`.
-        sentence: the verdict in words.
         per_sample: tests of the innovations themselves; None if too short.
         per_block: tests of their means over `BLOCK_S`; None if too short.
     """

@@ -81,10 +81,7 @@ class KalmanFilter:
     def update(self, angle_deg: float, rate_dps: float, dt_s: float) -> float:
         """Take one sample and return the filtered angle.
 
-        Args:
-            angle_deg: elevation of the accelerometer, any turn.
-            rate_dps: angular rate about the axis of elevation.
-            dt_s: time since the sample before; of no meaning for the first.
+        `angle_deg` may be on any turn; `dt_s` means nothing for the first sample.
 
         Raises:
             ValueError: a number that is not finite, or time that does not go forward; the state is kept.

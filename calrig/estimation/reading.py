@@ -19,7 +19,6 @@ class Reading:
         reading_deg: mean of the filtered samples, in (−180, 180].
         reading_std_deg: their spread (n − 1); None for one sample.
         reading_stderr_deg: standard error of the mean; None below `MIN_SAMPLES` samples.
-        n_samples: how many.
     """
 
     reading_deg: float

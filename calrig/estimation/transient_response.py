@@ -44,7 +44,6 @@ class Transient:
             least squares, mean over the moves weighted by what each says of it.
         lag_std_ms: its standard error from the scatter between moves; None from a single one.
         largest_offset_deg: largest |filtered − reference| of any sample, noise included.
-        n_moves: how many moves.
     """
 
     lag_ms: float

@@ -292,11 +292,8 @@ def filter_lag_deg(
 ) -> FloatArray:
     """Return what a gyro wrong by a share of the rate adds to the filtered angle, until it is taken for bias.
 
-    Args:
-        time_s: (n,) from a stand on.
-        rate_dps: (n,) as the gyro gives it, less its bias.
-        gain_error: `GyroTurn.gain` − 1.
-        noise: what the filter assumes.
+    `time_s` (n,) runs from a stand on; `rate_dps` (n,) is as the gyro gives it, less its bias; `gain_error`
+    is `GyroTurn.gain` − 1.
     """
     from scipy.signal import lfilter
 

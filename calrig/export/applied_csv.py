@@ -95,11 +95,7 @@ class _Rows:
 
 @dataclass(slots=True)
 class Applier:
-    """Applies one calibration to one stream of readings.
-
-    Attributes:
-        application: the calibration.
-    """
+    """Applies one calibration to one stream of readings."""
 
     application: Application
     _n: int = 0

@@ -73,10 +73,8 @@ class Parameters:
 def parameters_of(document: Mapping[str, Any], axes: FloatArray, format_: str) -> Parameters:
     """What such parameters hold of a document.
 
-    Args:
-        document: CONTRACT section 6.
-        axes: (3, 3) from the chip's axes to the driver's, a permutation with signs.
-        format_: what it is called in a refusal.
+    `axes` (3, 3) lead from the chip's axes to the driver's: a permutation with signs. `format_` names the
+    format in a refusal.
 
     Raises:
         NotHeldError: nothing of it.

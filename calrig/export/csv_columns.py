@@ -93,12 +93,7 @@ def columns_of(
     `temperature_k` stays a column of its own, but `target_rad` and `time_ms` are converted: nothing else is
     in their place. `time_min` may be the least time.
 
-    Args:
-        texts: the names of the header.
-        units: cells of a row of units under it; None without such a row.
-        known: names looked for.
-        required: those of them that the file must have.
-        line: the header's.
+    `units` are the cells of a row of units under the header; None without such a row.
 
     Raises:
         CsvError: a name states one unit, and brackets or the row of units another.

@@ -63,12 +63,6 @@ def dialect_of(
     The separator is the one that makes the most known names of the header, a comma where several do. Where
     cells are not separated by commas, decimals are written as in most cells that have any, with a point where
     as many have commas.
-
-    Args:
-        header: the line of names.
-        rows: what follows it.
-        known: names that have a meaning here.
-        separators: to choose from.
     """
     names = header.decode(errors="replace")
     separator = max(separators, key=lambda sign: _n_known(names, sign, known))
@@ -88,11 +82,7 @@ def has_known(header: bytes, known: Collection[str]) -> bool:
 def name_of_last(rows: bytes, dialect: Dialect, width: int, report: CsvReport) -> list[str]:
     """Return an empty name for the last cells of rows that all end in a separator, and say so; else none.
 
-    Args:
-        rows: what follows the header row, at most `EXAMINED_BYTES`.
-        dialect: how they are written.
-        width: how many names the header has.
-        report: gets the remark.
+    `rows` is what follows the header row, at most `EXAMINED_BYTES`.
     """
     whole = rows if len(rows) < EXAMINED_BYTES else rows[: rows.rfind(b"\n") + 1]
     text = _COMMENTS.sub(b"", whole).decode(errors="replace")

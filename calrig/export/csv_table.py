@@ -63,13 +63,10 @@ class Layout:
     """How a file is written.
 
     Attributes:
-        columns: in their order.
         header_line: the line of the header, from 1.
         begin: the byte at which the rows begin.
         first_line: the line that begins there.
-        dialect: how cells are written.
         units: the cells of the row of units, None without one.
-        report: what is wrong, and what is to be said.
     """
 
     columns: list[Column]
@@ -160,10 +157,8 @@ def layout_of(data: bytes, known: Collection[str], required: Sequence[str] = ())
     has known names; or a line further down, if only that has the required, or known, ones. A line such as
     `sep=;` may come before it, a row of units after it.
 
-    Args:
-        data: from the file's beginning, a megabyte of rows or all of them.
-        known: names that have a meaning here.
-        required: those of them that the file must have.
+    `data` has the file's beginning, a megabyte of rows or all of them; `required` are those of the `known`
+    names that the file must have.
 
     Raises:
         CsvError: it is empty, or no header, or lacks columns; says all that it lacks.
@@ -296,7 +291,6 @@ def _next_row(data: bytes, begin: int, line: int) -> _Row:
 
 
 def _cells(row: _Row, dialect: Dialect) -> list[str]:
-    """The cells of one line."""
     try:
         text = row.text.decode()
         return next(csv.reader([text], delimiter=dialect.separator, strict=True))

@@ -32,7 +32,6 @@ class LogTable:
     """The columns of numbers.
 
     Attributes:
-        layout: how the file is written.
         columns: (N,) each, by place in the header, those that were asked for, in the unit of their name;
             NaN where blank or `nan`.
     """
@@ -58,12 +57,8 @@ def read_log_table(
 ) -> LogTable:
     """Read the columns whose names are wanted, as `csv_table.read_tables` and `Cells.numbers` would.
 
-    Args:
-        data: UTF-8 CSV with a header row.
-        wanted: names of columns whose cells must be numbers and are kept.
-        max_rows: more are refused.
-        max_bytes: more are refused.
-        progress: gets the share that has been read, from 0 to 1.
+    `wanted` are names of columns whose cells must be numbers and are kept; `progress` gets the share read, 0
+    to 1.
 
     Raises:
         CsvError: as they do; says line and column.

@@ -69,7 +69,6 @@ class Axis:
     One thread moves and polls; any thread may halt. `has_moved` tells whether a motion was ever commanded.
 
     Args:
-        stage: the driver.
         zero_deg: the stage's angle at elevation 0.
         sign: +1 or −1.
         ratio: stage degrees per degree of elevation.

@@ -45,7 +45,6 @@ class AllanCurve:
             that the log is too short for.
         deviation, low, high: (M,) in the channel's unit, and the limits of `CONFIDENCE`.
         n_clusters: (M,) how many averages of length τ lie end to end in the log.
-        rate_hz: of the samples.
         factors: (M,) τ in samples.
         lengths: (S,) samples of each segment.
         mean_step: (M,) mean difference, with its sign, of neighbouring averages; a steady ramp leaves R·τ.

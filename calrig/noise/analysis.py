@@ -7,13 +7,14 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from calrig.estimation.angles import FloatArray, wrap_deg
+from calrig.model.noise import SpectralLine, TemperatureDependence
 from calrig.noise.allan import KINDS, AllanCurve, allan_curve, variance_of
 from calrig.noise.coefficients import Coefficients, coefficients
 from calrig.noise.distribution import Distribution, distribution_of, knocks_of
 from calrig.noise.resampling import UniformLog, uniform_log
-from calrig.noise.spectral_lines import Line, find_lines
+from calrig.noise.spectral_lines import find_lines
 from calrig.noise.spectrum import Psd, PsdSlope, psd_of, psd_slope
-from calrig.noise.temperature import Temperature, temperature_of
+from calrig.noise.temperature import temperature_of
 from calrig.noise.units import accelerometer_channels, unit_of
 
 LEAST_TURN_DEG = 5.0
@@ -48,7 +49,6 @@ def turn_deg(channels: Mapping[str, FloatArray], rate_hz: float, segments: Seque
 
 
 def _means(values: FloatArray, count: int) -> FloatArray:
-    """Return means of so many values each, one after the other."""
     whole = len(values) // count
     return np.asarray(values[: whole * count].reshape(whole, count).mean(axis=1), dtype=np.float64)
 
@@ -66,7 +66,7 @@ NEAR_ADF, NEAR_PSD = 0.2, 0.6
 
 
 def colour_of(
-    curve: AllanCurve, coefficients: Coefficients, psd_slope: float | None, lines: Sequence[Line]
+    curve: AllanCurve, coefficients: Coefficients, psd_slope: float | None, lines: Sequence[SpectralLine]
 ) -> Colour | None:
     """Return what to call the noise; None where there is none, or nothing to tell it by.
 
@@ -121,14 +121,9 @@ class ChannelNoise:
     """The noise of one channel, in its unit.
 
     Attributes:
-        name: the channel's.
         unit: as a person writes it.
-        allan: overlapping Allan deviation.
-        coefficients: fitted to it.
-        psd: one-sided power spectral density.
         psd_slope: its slope with the lines left out; None where the log is too short.
         lines: spectral lines, strongest first.
-        distribution: mean, standard deviation, histogram, and whether a Gaussian fits.
         temperature: dependence on it; None where the log does not tell.
         colour: in one word; None where there is no telling.
     """
@@ -139,21 +134,17 @@ class ChannelNoise:
     coefficients: Coefficients
     psd: Psd
     psd_slope: PsdSlope | None
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
     distribution: Distribution
-    temperature: Temperature | None
+    temperature: TemperatureDependence | None
     colour: Colour | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """The noise of a unit, as one static log shows it.
+    """The noise of a unit, as one static log shows it; what is not said here is as of `UniformLog`.
 
     Attributes:
-        rate_hz: samples a second.
-        duration_s: of the log, gaps included.
-        gaps: how often samples were missing.
-        not_finite: samples left out since one of their values was not known.
         notes: which knocks were left out, what was done to put the samples on a uniform grid, and whether
             the sensor moved.
         channels: by name; the log's in its order, then `elevation_deg`.
@@ -204,7 +195,6 @@ def analyse(
 
 
 def _of_rest(log: UniformLog) -> tuple[str, ...]:
-    """Return what is to be said of a log that is not of a sensor at rest."""
     turn = turn_deg(log.channels, log.rate_hz, log.segments)
     if turn is None or turn < LEAST_TURN_DEG:
         return ()
@@ -215,7 +205,6 @@ def _of_rest(log: UniformLog) -> tuple[str, ...]:
 
 
 def _of_knocks(knocks: Mapping[str, Sequence[slice]]) -> tuple[str, ...]:
-    """Return what is to be said of stretches left out."""
     return tuple(
         f"{name} lies far from its other samples for a moment, as of a knock: samples "
         f"{', '.join(f'{one.start + 1} to {one.stop}' for one in found)} are left out of every channel."

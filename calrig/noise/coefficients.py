@@ -18,6 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from calrig.estimation.angles import FloatArray, IntArray
+from calrig.model.noise import Coefficient
 from calrig.noise.allan import KINDS, AllanCurve, CurveTheory, theory_of
 
 RAMP = len(KINDS)
@@ -42,7 +43,6 @@ class CurveData:
     Attributes:
         variance: (J,) Allan variances above 0, the slope's part taken off.
         error: (J,) their standard error beyond what theory gives.
-        slope_per_s: the log's slope.
     """
 
     variance: FloatArray
@@ -187,15 +187,6 @@ LINE_ERROR = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Coefficient:
-    """A coefficient with its standard uncertainty, and the unit of both, such as `g·√s`."""
-
-    value: float
-    std: float
-    unit: str
-
-
-@dataclass(frozen=True, slots=True)
 class Coefficients:
     """What an Allan curve is made of; None for what it does not ask for.
 
@@ -284,7 +275,8 @@ def _named(
     for place, term in enumerate(best.terms):
         rivals = found.rivals(term)
         if rivals is None and (steady or term != RAMP):
-            named[TERMS[term]] = Coefficient(float(values[place]), float(stds[place]), unit + UNITS[term])
+            value, std = float(values[place]), float(stds[place])
+            named[TERMS[term]] = Coefficient(value=value, std=std, unit=unit + UNITS[term])
         elif rivals and steady:
             unclear |= {term, *rivals}
     contested = tuple(TERMS[term] for term in sorted(unclear))
@@ -295,7 +287,8 @@ def _bare_ramp(curve: AllanCurve, unit: str) -> Coefficient | None:
     """Return the slope of a log without noise, unless it is the arithmetic's."""
     std = math.sqrt(72.0) * curve.rounding * (curve.rate_hz / float(curve.lengths.max())) ** 2
     size = abs(curve.slope_per_s)
-    return Coefficient(size, float(std), unit + UNITS[RAMP]) if size > 10.0 * std else None
+    is_real = size > 10.0 * std
+    return Coefficient(value=size, std=float(std), unit=unit + UNITS[RAMP]) if is_real else None
 
 
 def _of_lines(curve: AllanCurve, lines: Sequence[tuple[float, float]]) -> FloatArray:

@@ -27,12 +27,9 @@ LONGEST_START_S = 600.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterStudy:
-    """The comparison, and the filter that was tuned for it.
+    """The comparison, and the filter that was tuned for it; rate and duration as of `UniformLog`.
 
     Attributes:
-        rate_hz: samples a second.
-        duration_s: of the log, gaps included.
-        comparison: every filter on the log.
         tuned: noise of the tuned filter; None where the log does not tell it.
         check: whether its innovation at rest is what that noise says; None without it.
         notes: what was done to the log and why a filter could not be tuned, one sentence each.

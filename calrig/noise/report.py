@@ -1,9 +1,9 @@
 """The document of a unit's noise (CONTRACT section 7), with its summary in sentences."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
+from calrig.model.noise import Coefficients, Distribution
 from calrig.noise.analysis import ELEVATION, ChannelNoise, Noise
 from calrig.noise.units import bias_instability, level, quantity, white_density, white_random_walk
 
@@ -105,9 +105,6 @@ def _temperature(one: ChannelNoise) -> Iterator[str]:
         yield f"{one.name} changes by {slope} (± {std}) a °C."
 
 
-COEFFICIENTS = ("quantisation", "white", "flicker", "random_walk", "ramp")
-
-
 def noise_document(noise: Noise) -> dict[str, Any]:
     """Return what `calrig noise --json` prints; a number that is not known is None."""
     return {
@@ -134,14 +131,8 @@ def _channel(one: ChannelNoise) -> dict[str, Any]:
         "psd_slope": None if one.psd_slope is None else one.psd_slope.slope,
         "colour": one.colour,
         "allan": {name: getattr(curve, name).tolist() for name in ("tau_s", "deviation", "low", "high")},
-        "coefficients": {
-            kind: None if (found := getattr(one.coefficients, kind)) is None else asdict(found)
-            for kind in COEFFICIENTS
-        },
-        "lines": [asdict(line) for line in one.lines],
-        "distribution": {
-            name: getattr(spread, name)
-            for name in ("gaussian", "p_value", "skewness", "kurtosis", "outliers")
-        },
-        "temperature": None if one.temperature is None else asdict(one.temperature),
+        "coefficients": Coefficients.model_validate(one.coefficients).model_dump(),
+        "lines": [line.model_dump() for line in one.lines],
+        "distribution": Distribution.model_validate(spread).model_dump(),
+        "temperature": None if one.temperature is None else one.temperature.model_dump(),
     }

@@ -33,7 +33,6 @@ class Grid:
     """Where samples stand.
 
     Attributes:
-        rate_hz: of the grid.
         place: (N,) place of each sample on it, increasing; None for 0, 1, 2, …
         gaps: how many times samples are missing.
         notes: what a person should know, one sentence each.

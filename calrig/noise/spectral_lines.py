@@ -25,6 +25,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.special import digamma, fdtrc, gammainccinv, gammaincinv
 
 from calrig.estimation.angles import FloatArray, IntArray
+from calrig.model.noise import SpectralLine as Line
 
 LOWEST = 2
 """Bins that the taken straight line and the ends' taper spoil."""
@@ -86,11 +87,8 @@ def excess(power: FloatArray, k: int, height: float, averaged: int) -> tuple[flo
     The background is the power law, or from 48 bins on its parabola on a double logarithmic scale, that fits
     the bins around best.
 
-    Args:
-        power: (M,) of each bin, exponential about the background, or means over `averaged` such.
-        k: the peak's bin.
-        height: the peak's power; `power[k]` or a maximum beside it.
-        averaged: independent values that each bin is the mean of.
+    `power` (M,) is exponential about the background, or means over `averaged` such; `height` is `power[k]` or
+    a maximum beside it.
 
     Returns:
         The ratio of the peak to the background, and the p-value of such a ratio at this one bin; 1 where the
@@ -149,7 +147,6 @@ class Gridded:
         weight: (rows, width) the window where there is a sample, else 0; `taper` itself without gaps.
         parts: where the samples lie on the grid.
         fast: length of the transform.
-        rate_hz: of the grid.
         scale: largest value of the log as it came.
     """
 
@@ -415,27 +412,13 @@ _LEAST_RATIO = 2.0
 """What a wandering tone has to make of the noise around it; less may be a bend of the noise itself."""
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A tone.
-
-    Attributes:
-        frequency_hz: where.
-        amplitude: of the sinusoid, in the channel's unit (half of peak to peak).
-        p_value: that noise alone shows such a line anywhere in the log.
-    """
-
-    frequency_hz: float
-    amplitude: float
-    p_value: float
-
-
 def find_lines(
     x: FloatArray, rate_hz: float, segments: Sequence[slice], start_s: Sequence[float]
 ) -> tuple[Line, ...]:
     """Spectral lines of a log, strongest first.
 
-    Harmonics are lines of their own. None has fewer than `sinusoids.MIN_CYCLES` periods in the log.
+    Harmonics are lines of their own. None has fewer than `sinusoids.MIN_CYCLES` periods in the log. An
+    amplitude is half of peak to peak; a p-value is that noise alone shows such a line anywhere in the log.
 
     `x` (N,) are finite samples; `segments` are runs of them without a gap, in order, `start_s` is when each
     begins, in s.
@@ -504,5 +487,6 @@ def _merged(tones: list[_Tone]) -> tuple[Line, ...]:
     for group in groups:
         power = sum(tone.amplitude**2 for tone in group)
         frequency_hz = sum(tone.frequency_hz * tone.amplitude**2 for tone in group) / power
-        lines.append(Line(frequency_hz, math.sqrt(power), min(tone.p_value for tone in group)))
+        p_value = min(tone.p_value for tone in group)
+        lines.append(Line(frequency_hz=frequency_hz, amplitude=math.sqrt(power), p_value=p_value))
     return tuple(sorted(lines, key=lambda line: -line.amplitude))

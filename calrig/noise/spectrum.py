@@ -65,10 +65,7 @@ def psd_of(x: FloatArray, rate_hz: float, segments: Sequence[slice]) -> Psd:
     No piece reaches over a gap. Its length is the largest power of two that gives `AVERAGES` pieces, or the
     one that gives most where none does.
 
-    Args:
-        x: (N,) finite samples.
-        rate_hz: samples a second.
-        segments: runs of samples without a gap.
+    `x` (N,) is finite; `segments` are runs of samples without a gap.
     """
     size = _piece([part.stop - part.start for part in segments])
     if size == 0:

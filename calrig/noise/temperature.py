@@ -10,12 +10,12 @@ of it, averaged over the possible shares and times by their likelihood.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from calrig.estimation.angles import FloatArray, IntArray
+from calrig.model.noise import TemperatureDependence
 
 MIN_SPAN_C = 1.0
 """What the parts' temperatures must span."""
@@ -28,34 +28,17 @@ _SHARES = 10.0 ** np.arange(-6.0, 4.1, 1.0)
 _TIMES = 2.0 ** np.arange(0.0, 11.0, 1.5)
 
 
-@dataclass(frozen=True, slots=True)
-class Temperature:
-    """Slope of a channel over temperature.
-
-    Attributes:
-        per_c: in the channel's unit per °C.
-        std: its standard error.
-    """
-
-    per_c: float
-    std: float
-
-
 def temperature_of(
     x: FloatArray,
     temperature_c: FloatArray | None,
     rate_hz: float,
     segments: Sequence[slice],
     start_s: Sequence[float],
-) -> Temperature | None:
+) -> TemperatureDependence | None:
     """Return the slope of a channel over temperature.
 
-    Args:
-        x: (N,) finite samples.
-        temperature_c: (N,) finite; None where the log has none.
-        rate_hz: samples a second.
-        segments: runs of samples without a gap, in order.
-        start_s: when each begins, in s.
+    `x` and `temperature_c` (N,) are finite; each segment is a run of samples without a gap and begins at its
+    `start_s`.
 
     Returns:
         None without temperature, with fewer than `MIN_PARTS` parts, or where their temperatures span less
@@ -75,7 +58,8 @@ def temperature_of(
     rest = y - columns @ (inverse @ y)
     excess_c = temperature_c - temperature_c.mean()
     per_c = float(excess_c @ x / (excess_c @ excess_c))
-    return Temperature(per_c, math.sqrt(_variance(rest, columns, inverse[1], t)) if rest.any() else 0.0)
+    std = math.sqrt(_variance(rest, columns, inverse[1], t)) if rest.any() else 0.0
+    return TemperatureDependence(per_c=per_c, std=std)
 
 
 def _means(x: FloatArray, bounds: IntArray) -> FloatArray:
@@ -99,11 +83,8 @@ def _times(
 def _variance(rest: FloatArray, columns: FloatArray, slope_of: FloatArray, t: FloatArray) -> float:
     """Return variance of the slope under white noise and an autoregression, over their shares and its times.
 
-    Args:
-        rest: (parts,) residuals of least squares.
-        columns: (parts, 2) of the fit.
-        slope_of: (parts,) the slope is its product with the means.
-        t: (parts,) when, in parts.
+    `rest` (parts,) are residuals of least squares, `columns` (parts, 2) of the fit; the slope is the product
+    of `slope_of` (parts,) with the means, at times `t` in parts.
     """
     n, p = columns.shape
     apart = np.abs(t[:, None] - t)

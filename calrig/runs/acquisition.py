@@ -29,7 +29,6 @@ class SampleSegment:
     """Samples in a row with what the filter made of them, all (n,)-long.
 
     Attributes:
-        samples: as the board sent them.
         elevation_deg: atan2(accel_y, accel_z) of each, or the angle that the board sends instead; about
             another axis likewise (`along_axis`).
         filtered_deg: the filter's angle after each, continuous; where the board sends no rate to filter with,

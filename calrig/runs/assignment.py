@@ -33,7 +33,6 @@ class Earlier:
         biases: of the gyro, from each pose's dwell whose samples are still there.
         logged_s: of a static log, how much of it there is.
         clock_s: where the run's time goes on, s since it began.
-        faults: counts by kind.
     """
 
     poses: list[Pose] = field(default_factory=list)
@@ -75,7 +74,6 @@ class NewRun:
     Attributes:
         who: asked for it, as the trail keeps it.
         stage_at_deg: a person's word for the elevation at which a stage without homing stands.
-        follows: the run that it follows up.
         follow_up: of a run that follows others.
         verifies: of a verification.
         origin: what its provenance says beside this machine's own.
@@ -114,10 +112,7 @@ class NewRun:
     def as_of_now(self, store: Store, rig: str, maps: Mapping[str, Document]) -> Self:
         """The same with the calibration that it verifies, and the stage's map in force, where nobody said.
 
-        Args:
-            store: has them.
-            rig: that it is to be on.
-            maps: of stages, that files give, by rig.
+        `maps` are those of stages that files give, by rig.
         """
         wanted = self
         if self.plan.kind == "verification" and self.verifies is None:

@@ -64,11 +64,7 @@ def settled(
 ) -> BatchState:
     """How a list stands.
 
-    Args:
-        turns: as stored, by position.
-        runs: of the turns that have one, by id.
-        rigs: that the list is for.
-        failed: what becomes of units that failed.
+    `turns` are as stored, by position; `runs` those of the turns that have one, by id.
     """
     now, more = [], []
     for turn in turns:

@@ -81,7 +81,6 @@ class Control:
 
     Attributes:
         asked: the end that was asked for first.
-        is_waiting: whether the run stands until a person says Go.
         paused, resumed: who wished for the pause, and who ended it.
     """
 

@@ -34,7 +34,6 @@ class FollowUpQuestion:
     Attributes:
         last: a run whose diagnosis, with those it follows on, left something ambiguous.
         run_ids, poses: of all of them, in the order measured.
-        limits_deg: soft limits of the rig.
         request: what the last diagnosis assumed.
     """
 
@@ -90,8 +89,6 @@ class FollowUpRun:
         earlier: the runs, whose diagnosis left something ambiguous.
         separates: names of the suspects.
         deciding: how many poses of a sweep, its first, are there to decide; the others confirm.
-        plan: of the follow-up.
-        limits_deg: soft limits of the rig.
         decided_on: indices of the measured poses that served to decide.
     """
 

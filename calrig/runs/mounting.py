@@ -85,10 +85,7 @@ class Mounting:
     def refusal(self, stage_deg: float, angle_deg: float, accel_g: FloatArray) -> str | None:
         """Why the unit is not clamped so; None where it is, within `MOST_OFF_DEG`.
 
-        Args:
-            stage_deg: where the stage stands.
-            angle_deg: about the unit's axis.
-            accel_g: (3,) specific force, NaN where the board does not send it.
+        `angle_deg` is about the unit's axis; `accel_g` (3,) is NaN where the board does not send it.
         """
         name = self.axis[-1]
         along_g = float(accel_g[AXES.index(name)])

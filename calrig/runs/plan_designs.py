@@ -58,7 +58,6 @@ class Settling:
 
     Attributes:
         least_s: until the stage is at rest.
-        said: how that is known, in words.
         gyro: of the filter that is to forget the moves; None where nothing is known of it.
     """
 
@@ -156,12 +155,7 @@ def may_sweep(
 ) -> MaySweep:
     """Unless a sweep of the rig was refused and none has succeeded since, or its board sends no rates.
 
-    Args:
-        rig: where it is to run.
-        plan: what is kept of it.
-        store: has the earlier runs.
-        pace: of the rig.
-        dwelling: how precise dwells are: stretches too, where no sweep tells.
+    `dwelling` says how precise dwells are: stretches too, where no sweep tells.
     """
     if plan.kind not in ("calibration", "sweep") or plan.asks_for_mounts:
         return MaySweep()
@@ -231,13 +225,9 @@ def question(
 ) -> DesignInputs:
     """What `plan_answers.answer` needs to design the plan for a rig and a unit.
 
-    Args:
-        wanted: what it is to reach.
-        plan: what it keeps: range, rate, velocity, seed; its settling where none has been measured.
-        rig: where it is to run.
-        unit: of whose last run on this rig the noise is taken; else that of the last one on the rig.
-        store: has the earlier runs; None where there is none yet.
-        maps: of the stages, that files give, by rig.
+    `plan` has what is kept: range, rate, velocity, seed, and the settling where none has been measured. The
+    noise is that of the last run of `unit` on the rig, else of the last one on it; `store` is None where
+    there is none yet, and `maps` are those that files give, by rig.
 
     Raises:
         Invalid: the plan that is kept has no range.
@@ -313,9 +303,7 @@ class Designed:
 def answer(asked: DesignInputs, progress: Callable[[float], None] = lambda _: None) -> Designed:
     """The plan that was asked for.
 
-    Args:
-        asked: with all that is known of the rig.
-        progress: is told the share that is done.
+    `progress` is told the share that is done.
 
     Raises:
         Invalid: it cannot be reached, and why.

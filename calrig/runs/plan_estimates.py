@@ -120,10 +120,7 @@ def _tells(run: Run) -> bool:
 def _beside_s(run: Run, poses: Sequence[Pose], speed: tuple[float, float]) -> float | None:
     """What lies between two dwells beside move, settling and dwell; None where nothing, or too little, tells.
 
-    Args:
-        run: that is completed; of a sweep the first pass does not count, in which the program gets ready.
-        poses: of it.
-        speed: velocity and acceleration of its stage, in elevation.
+    Of a sweep the first pass does not count, in which the program gets ready. `speed` is in elevation.
     """
     gaps_s = _gaps_s(run, poses, speed)
     return None if gaps_s is None else max(0.0, _trimmed_mean(gaps_s))
@@ -289,10 +286,7 @@ class StoppingRule:
     """What a run is to reach, and what its result follows from beside its poses.
 
     Attributes:
-        until: of its plan.
-        planned: every pose of the plan.
         accepted: effects in force for the unit and its rig; a bench of a centre knows of none.
-        provenance: of the run.
     """
 
     until: Until
@@ -334,12 +328,8 @@ def reference_uncertainty(
 ) -> TypeB | None:
     """What the reference makes of a calibrated elevation; None where it is not known.
 
-    Args:
-        rig: says what its stage's angle is worth.
-        unit: whose accepted effects are taken out beside bias and scale.
-        elevations_deg: of a sweep of the plan.
-        store: has the effects; None where there is none yet.
-        in_force: what the run keeps of the stage's map, as of `stage_maps.kept_of`; None without one.
+    `elevations_deg` are those of a sweep of the plan; `store`, which has what was accepted, is None where
+    there is none yet; `in_force` is what the run keeps of the stage's map, None without one.
     """
     if in_force is not None:
         theta_deg = np.array(elevations_deg, dtype=np.float64)

@@ -72,7 +72,6 @@ class BoardCheck:
         trouble: why none answers.
         accel_g: mean specific force; None of a board that sends an angle of its own.
         own_deg: that angle, whose zero may be anywhere.
-        moves: whether somebody has the unit in hand.
         stage_deg: elevation at which the last run left the stage; None where that is not known.
     """
 
@@ -124,10 +123,7 @@ class BoardCheck:
 def evaluate_board(identity: BoardIdentity, samples: Samples, stage_deg: float | None) -> BoardCheck:
     """What a board's word and its samples of a moment are.
 
-    Args:
-        identity: of the board.
-        samples: of a moment.
-        stage_deg: elevation at which the stage was left; None where that is not known.
+    `stage_deg` is the elevation at which the stage was left; None where that is not known.
     """
     accel_g = samples.accel_g.mean(axis=0)
     if np.isnan(accel_g).any():
@@ -238,7 +234,6 @@ class PresenceMonitor:
         return poses[-1].pose.stage_deg if poses else None
 
     def _watch(self, watch: _Watch) -> None:
-        """Looks until nobody wants it."""
         assert watch.rig.imu is not None  # noqa: S101 (as asked for)
         try:
             while True:
@@ -294,7 +289,6 @@ class PresenceMonitor:
 
 
 def _samples(board: Board, identity: BoardIdentity) -> Samples:
-    """Those of a moment."""
     rate_hz = identity.rate_hz or min(RATE_HZ, identity.max_rate_hz or RATE_HZ)
     wanted, blocks, count = max(FEWEST, round(LOOK_S * rate_hz)), [], 0
     board.start(round(rate_hz))

@@ -47,11 +47,7 @@ REMOUNTED_DEG = 0.5
 def resumed_task(store: Store, run: Run, settings: RigSettings, stage_at_deg: float | None) -> RunAssignment:
     """What is left of an interrupted run.
 
-    Args:
-        store: has its poses and samples.
-        run: an interrupted one.
-        settings: of its rig, as it is configured now.
-        stage_at_deg: a person's word for the elevation at which a stage without homing stands.
+    `stage_at_deg` is a person's word for the elevation at which a stage without homing stands.
 
     Raises:
         Conflict: it cannot go on, because the rig was configured otherwise, and how.

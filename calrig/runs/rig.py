@@ -49,9 +49,6 @@ class StagePosition:
     """One rig's stage. It writes nothing of a stage that can home.
 
     Args:
-        store: remembers.
-        rig: as configured.
-        run: that moves it.
         said_deg: a person's word for the elevation at which it stands; None where nobody said.
         resumes: whether the run was interrupted, and can be resumed later where it cannot now.
     """
@@ -92,10 +89,7 @@ class StagePosition:
 
         Stores it where they agree.
 
-        Args:
-            stage_deg: elevation, as the stage says.
-            felt_deg: elevation, by the unit's accelerometer.
-            mount: how the unit is clamped.
+        `felt_deg` is the elevation by the unit's accelerometer.
 
         Raises:
             StageError: they differ by more than the unit's known bias and `MOST_OFF_DEG`.
@@ -322,9 +316,7 @@ def open_rig(
 def stop_stage(settings: RigSettings, opened: Callable[[], None] = lambda: None) -> None:
     """Opens the stage of a rig that nobody uses, tells it to stop, sees that it stands, and closes it.
 
-    Args:
-        settings: the rig.
-        opened: is called once the port has opened, or has not.
+    `opened` is called once the port has opened, or has not.
 
     Raises:
         InstrumentError: the rig has no port, or it does not open, or the stage is not known to stand.

@@ -15,10 +15,7 @@ from calrig.settings import BoardSettings, RigSettings, StageSettings
 def state_of(rig: RigSettings, run_id: str | None, *, unreachable: bool) -> RigState:
     """The state of a rig.
 
-    Args:
-        rig: as configured.
-        run_id: the run that it carries out, or None.
-        unreachable: whether the last run did not reach it.
+    `unreachable` is whether the last run did not reach it.
     """
     state: RigWork = "idle"
     if run_id is not None:

@@ -30,9 +30,7 @@ class RunQueue:
     """Which runs wait for which rig. Thread-safe; nothing in it waits for a rig or the store but `next`.
 
     Args:
-        store: keeps the runs, as `queued`.
         bus: tells those who watch a run that ends without having begun.
-        meter: counts those.
         beginning: is held while a run begins; whoever calls `next` must not hold it.
         require_ready: raises Conflict where a rig takes no run now.
         begin: begins a stored run, while `beginning` is held.
@@ -181,10 +179,6 @@ STAGES_AT_ONCE = 8
 
 def stop_stages(names: Sequence[str], rigs: Mapping[str, RigSettings]) -> dict[str, str]:
     """Tells the stages of rigs that a dead program used to stop, side by side, and sees that they stand.
-
-    Args:
-        names: of the rigs.
-        rigs: all that are configured, by name.
 
     Returns:
         What a person must know, by rig, where a stage could not be told.

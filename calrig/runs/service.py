@@ -40,12 +40,7 @@ CLOSE_S = 4.0
 class RunService(Service):
     """Runs on the rigs of this machine. Thread-safe.
 
-    Attributes:
-        crew: which runs are on which rigs.
-
     Args:
-        store: where runs are kept.
-        rigs: those there are.
         record: folder for transcripts of every byte on the rigs' wires; None for none.
         issuer: makes drafts of completed calibrations; without it by what the rigs' `release` says.
         maps: as of `Service`.

@@ -45,10 +45,7 @@ class SingleFlight:
     def share(self, key: Hashable, clock: Clock, work: Callable[[], T]) -> SharedTask[T]:
         """The errand of this key that is under way, or else a new one; waits for nothing.
 
-        Args:
-            key: what is asked for; the same key means the same work.
-            clock: whose thread does it.
-            work: what is done.
+        The thread of `clock` does it.
         """
         with self._lock:
             errand = self._under_way.get(key)

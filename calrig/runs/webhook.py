@@ -46,11 +46,6 @@ SHORTEST_SECRET = 16
 class Webhook:
     """A thread that notes ends of runs and delivers them.
 
-    Args:
-        service: whose runs.
-        settings: where to, and the key.
-        now: the time of day.
-
     Raises:
         SettingsError: there is no key.
     """

@@ -42,15 +42,10 @@ class RunExecution:
         fields: what has come of it, to be written with its end.
         warnings: what a person must know then, beside an error.
         draft: of a calibration, what it makes of its unit.
-        has_reached_rig: whether both devices answered.
         is_under_way: whether a failure from here on is the run's own; else an interrupted run stays so.
 
     Args:
-        task: the run.
         store: has what was accepted so far, and keeps the wires of a run that failed.
-        issuer: makes the draft.
-        recorder: is told what happens.
-        control: says when it is to end.
         record: folder for transcripts of every byte on the wires; None for none.
     """
 

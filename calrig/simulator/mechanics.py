@@ -21,7 +21,6 @@ class Vibration:
     """Of one motor. Each full step is one cycle, so that the motor's angle tells where in it the force is.
 
     Attributes:
-        on: whether there is any.
         direction: (3,) unit vector on the table.
     """
 

@@ -50,7 +50,6 @@ class SimulatedRig:
     From `start` (or `with`) until `stop`.
 
     Attributes:
-        settings: what it was made of.
         clock: simulated time in seconds since it was made, when called.
         bench: its physics; take `bench.lock` while the rig is running.
         stage, board: its devices; their `fault` may be set at any time.

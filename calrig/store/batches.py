@@ -23,7 +23,6 @@ class Turn:
 
     Attributes:
         position: within the list, from 0.
-        unit: its serial.
         state: as it was last written; of a run that has ended since, `running`.
         rig: that it is kept for, or was on.
         run_id: its run; of a follow-up that has not begun, the run that it follows.

@@ -394,13 +394,10 @@ class Commands(Repository):
     """Commands to benches. None of these waits for other writers: a stop may not."""
 
     def send(self, bench: str, kind: Kind, *, rig: str | None = None, run_uid: str | None = None) -> int:
-        """Asks something of a bench; a stop also takes back what waits to begin on the rig.
+        """Asks something of a bench, and returns the command's number; a stop also takes back what waits.
 
         A look is asked for every few seconds, and nobody waits for its answer: of each rig the last one is
         kept.
-
-        Returns:
-            The command's number.
         """
         with self._database.writing(in_turn=False) as session:
             if kind == "stop":

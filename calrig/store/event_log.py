@@ -21,11 +21,7 @@ class EventLog(Repository):
     """Events and transcripts of runs."""
 
     def append(self, run_id: str, events: Sequence[Announced]) -> list[int]:
-        """Appends events to a run's log.
-
-        Returns:
-            Their numbers within the run, from 1 and without gaps.
-        """
+        """Appends events to a run's log; returns their numbers in it, from 1 and without gaps."""
         with self._database.writing() as session:
             return append(session, run_row(session, run_id), events)
 

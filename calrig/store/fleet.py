@@ -214,12 +214,7 @@ class Findings(Repository):
     ) -> None:
         """Keeps what was found in the place of what was kept before.
 
-        Args:
-            run_id: of this store or of another one.
-            poses_sha256: of the poses that it was found in.
-            catalogue: version of that which found it.
-            diagnosis: CONTRACT section 5; None where the poses cannot be diagnosed.
-            error: then the reason.
+        `diagnosis` is None where the poses cannot be diagnosed; `error` says why then.
         """
         row = FleetFindingTable(
             run_uid=run_id,

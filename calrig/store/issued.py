@@ -76,7 +76,6 @@ class InForce:
 
     Attributes:
         since: time of its last release; of stores without a trail, when it was issued.
-        verdict: as it was issued.
     """
 
     revision: int

@@ -243,7 +243,6 @@ class _Wrapping:
         return Parcel(self._run.uid, document, block.data, after)
 
     def run_now(self) -> Document:
-        """What the store says of the run."""
         run = run_of(self._run)
         said = {name: getattr(run, name) for name in RUN_FIELDS}
         said |= {"progress": self._run.progress, "result": self._run.result}

@@ -33,9 +33,6 @@ def _map_in_use(session: Session, run: RunTable) -> StageMap | None:
     """The map of a run; None where it has none, or a pose that counts stands beyond it.
 
     Half a run by a map and half by a certificate would have a step in it that is neither's.
-
-    Raises:
-        Unreadable: what the run keeps of it is damaged.
     """
     try:
         kept = map_of(run.provenance)
@@ -220,12 +217,9 @@ class Samples(Repository):
             yield from blocks
 
     def prune(self, before: datetime) -> int:
-        """Deletes the raw samples of runs made before then and no longer going on, and nothing else.
+        """Deletes the raw samples of runs made before then and no longer going on; returns how many.
 
         `before` is an aware time.
-
-        Returns:
-            How many samples were deleted.
         """
         old = select(RunTable.id).where(RunTable.created_at < before, col(RunTable.status).not_in(UNFINISHED))
         of_old_runs = col(SampleBlockTable.run_id).in_(old)
@@ -289,7 +283,6 @@ def _block_numbers(session: Session, run_id: str, pose: int | None) -> list[tupl
 
 
 def _packed_blocks(session: Session, numbers: Sequence[int]) -> list[bytes]:
-    """The packed blocks of these rows, one after the other."""
     packed: list[bytes] = []
     for first in range(0, len(numbers), VARIABLES):
         some = col(SampleBlockTable.id).in_(numbers[first : first + VARIABLES])

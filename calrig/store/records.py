@@ -253,10 +253,6 @@ class RawSamples:
     """n raw samples in the order taken, as `calrig.instruments.types.Samples` has them.
 
     Attributes:
-        time_s: (n,) the board's clock since it was started.
-        accel_g: (n, 3) specific force along the sensor's x, y, z.
-        gyro_dps: (n, 3) angular rate about x, y, z.
-        temperature_c: (n,) die temperature.
         angle_deg: (n,) elevation as the board computed it; None where it sends what it measured.
     """
 
@@ -302,7 +298,6 @@ class Basis:
 
     Attributes:
         runs: ids of the runs, all of one rig.
-        units: serials of their units.
         linear: whether the units were stated to have no quadratic and cubic terms.
         periods_deg: of gears that somebody knew.
         seat_std_deg: how far one clamping was said to scatter from the next; None where nobody did.
@@ -323,7 +318,6 @@ class Solved:
 
     Attributes:
         rig: whose stage it is of; None where the runs name none.
-        basis: what it rests on.
         document: CONTRACT section 8.
         calibrations: CONTRACT section 6 by serial, with the uncertainty of this solution.
         stage_map: what `stage-map.json` has.

@@ -83,11 +83,9 @@ class Sought:
     """What a list of runs is narrowed to; None where it does not matter.
 
     Attributes:
-        unit, rig, status: as they stand there.
         begins: first characters of the UUID.
         text: stands in the serial number or in the note, in capitals or not; % and _ are text.
         since, before: when the run was made: from the first, up to and without the second.
-        kind: what it is.
         follows: the run (its id) that it is a follow-up of.
     """
 

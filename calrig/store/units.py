@@ -115,11 +115,7 @@ class Units(Repository):
 
 
 def _remove_revisions(session: Session, serial: str) -> None:
-    """All of a unit that is none. The trail keeps their hashes.
-
-    Raises:
-        Refused: one is in force.
-    """
+    """All of a unit that is none. The trail keeps their hashes."""
     wanted = select(IssuedCalibrationTable).where(IssuedCalibrationTable.unit == serial)
     for row in session.exec(wanted).all():
         if row.status == "in_force":
@@ -132,7 +128,6 @@ def _remove_revisions(session: Session, serial: str) -> None:
 
 
 def _units(session: Session, serials: Sequence[str] | None = None) -> list[Unit]:
-    """All units by serial, or some."""
     wanted = (
         select(UnitTable, func.count(col(RunTable.id)), func.max(RunTable.created_at, type_=UtcText()))
         .join(RunTable, isouter=True)

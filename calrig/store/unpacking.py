@@ -171,11 +171,7 @@ def _require_own(session: Session, bench: str, rig: str) -> None:
 
 
 def _news(session: Session, run: RunTable, events: Sequence[DeliveredEvent]) -> list[DeliveredEvent]:
-    """The events that are not stored yet.
-
-    Raises:
-        _TooSoon: one before them is missing.
-    """
+    """The events that are not stored yet."""
     last = session.exec(select(func.max(EventTable.seq)).where(EventTable.run_id == run.id)).one() or 0
     news = [event for event in events if event.seq > last]
     if [event.seq for event in news] != list(range(last + 1, last + 1 + len(news))):

@@ -108,13 +108,7 @@ def _replay(said: Said, entry: Mapping[str, Any]) -> None:
 
 
 def certificate_problems(said: Said, names: Sequence[str], read: Read) -> Iterator[Problem]:
-    """What is wrong with the issued certificates.
-
-    Args:
-        said: by the trail.
-        names: of all members.
-        read: gives a certificate.
-    """
+    """What is wrong with the issued certificates."""
     expected = {
         layout.certificate_name(number, form): sha256[form]
         for number, sha256 in said.certificates.items()
@@ -190,13 +184,7 @@ def differences(
 ) -> Iterator[str]:
     """What of a document is not what the poses give, a sentence each.
 
-    Args:
-        document: CONTRACT section 6.
-        basis: what its draft rested on: ids of effects, indices of excluded poses.
-        effects: those accepted, by id.
-        run: that it is of, with plan and provenance.
-        poses: all of the run.
-        indices: of each pose.
+    `basis` is what its draft rested on; `poses` are all of the run, excluded ones too.
 
     Raises:
         NotRefitted: something that the fit needs is not there.
@@ -243,11 +231,7 @@ def solution_differences(
 ) -> Iterator[str]:
     """Solve a joint solution again, and yield what of a unit's document it does not give.
 
-    Args:
-        document: CONTRACT section 6.
-        basis: rig, runs and assumptions of the solution (`calrig.store.records.Basis`).
-        stale: what has changed since of the runs.
-        run_of: gives a run with its poses and their indices.
+    `basis` is a `calrig.store.records.Basis`; `stale` says what has changed of the runs since.
 
     Raises:
         NotRefitted: something that the solution needs is not there.

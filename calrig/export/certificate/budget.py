@@ -28,10 +28,8 @@ _SAME_FACTOR = 1e-9
 def budget_of(document: Mapping[str, Any], reference: Reference | None, freedom: int | None) -> Budget:
     """The budget of a calibration document.
 
-    Args:
-        document: CONTRACT section 6.
-        reference: what the rig said of its stage; None where it said nothing, or the stage's map did.
-        freedom: degrees of freedom of the scatter about the line; None where they are not known.
+    `reference` is None where the rig said nothing of its stage, or the stage's map did; `freedom`, of the
+    scatter about the line, where it is not known.
     """
     parts = [*_of_poses(document, freedom), *_of_reference(document, reference)]
     worth = document["uncertainty"]

@@ -161,7 +161,6 @@ class Quantity:
 
     Attributes:
         name: as the calibration document has it.
-        title: in words.
         unit: as it is printed; empty of a ratio.
         std: standard uncertainty.
         expanded: the standard uncertainty times `coverage_factor`, for the probability `coverage`.
@@ -254,10 +253,6 @@ class Method:
 
     Attributes:
         program: name and version at the time of the calibration.
-        measurand: what was calibrated, in words.
-        model: as the calibration document has it.
-        procedure: sentences.
-        plan: of the run.
         literature: the paper and the guides that it follows.
     """
 

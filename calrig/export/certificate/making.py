@@ -64,14 +64,8 @@ def results_of(
 ) -> Results:
     """The results of a revision.
 
-    Args:
-        document: CONTRACT section 6.
-        run: that it is of.
-        measured: its poses.
-        budget: of its uncertainty.
-        freedom: degrees of freedom of the scatter about its line; None where they are not known.
-        of_stage: effects of the rig's that it rests on.
-        came_with: the revision that the unit came with; None where it is found as it reads.
+    `freedom`, of the scatter about its line, is None where it is not known; `came_with`, the revision that
+    the unit came with, where it is found as it reads.
     """
     reference = stated_reference(document)
     elevation = None

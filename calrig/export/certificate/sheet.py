@@ -210,7 +210,6 @@ def _freedom(value: float) -> str:
 
 
 def _minus(text: str) -> str:
-    """A minus sign as one reads it."""
     return text.replace("-", "−")
 
 

@@ -144,13 +144,8 @@ def real_list(
 ) -> ET.Element:
     """A column of figures.
 
-    Args:
-        title: what they are.
-        values: at least one.
-        unit: as it is printed, one of `UNITS` in the SI.
-        ref_type: of the quantity.
-        ref_id: ids of what it is of.
-        worth: expanded uncertainty, coverage factor and probability of each alike, and the distribution.
+    `unit` is as printed, one of `UNITS` in the SI; `worth` has expanded uncertainty, coverage factor and
+    probability of each alike, and the distribution.
     """
     uncertainty = None
     if worth is not None:

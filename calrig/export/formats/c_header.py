@@ -326,7 +326,6 @@ def _turned_vector(felt: str, vectors: list[VectorInC]) -> list[str]:
 
 
 def _newton(rounds: int) -> list[str]:
-    """The statements that take the effects out."""
     step = c_literal(STEP_DEG)
     return [
         f"    for (int k = 0; k < {rounds}; k++) {{",

@@ -392,7 +392,6 @@ class SketchBoard(ReadBoard):
             self._blocks.append(block)
 
     def _begin_anew(self, now_s: float) -> None:
-        """The board was reset."""
         self._settled_s = now_s + self._sketch.settles_s
         if not self._identified:
             self._seen_s.clear()

@@ -25,8 +25,6 @@ class LineWire:
     a time, and a stray XOFF must never be able to hold back a stop; it is counted as `flow_control`.
 
     Args:
-        port: where the controller hangs.
-        faults: counts by kind.
         end: what ends a line; without, CR, LF or both.
 
     Attributes:

@@ -41,11 +41,9 @@ class NewportStage(ABC):
 
     Attributes:
         title: driver and axis, with `{}` for the axis.
-        baudrate: bits per second.
         line_form: what ends a reply.
         command_end: what ends a command.
         number_form: a number as a reply has it, the number alone in its first group.
-        position_query: the query for the position.
         optional_attempts: how often a query is sent that not every controller knows.
         addressed_by: what the user calls the number that the commands begin with.
     """

@@ -202,10 +202,7 @@ class Traverse:
     def unreported_turn(self, last: PlannedPose, felt: GyroTurn, bias_std_dps: float) -> UnreportedTurn:
         """What the gyro says of the end beyond the stage's reports, from the last stretch to the dwell.
 
-        Args:
-            last: of the stretches.
-            felt: the gyro's gain, and the delay.
-            bias_std_dps: of `bias_dps`.
+        `felt` has the gyro's gain and the delay.
         """
         stretch_s = self._span_s(last, felt.behind_s)
         samples = self.kept.between(stretch_s[0], self.dwell_s[1]).samples
@@ -221,11 +218,7 @@ class Traverse:
     ) -> Iterator[Taken]:
         """The poses of its stretches in the order turned, then that of the dwell.
 
-        Args:
-            planned: the stretches and the dwell.
-            reading: of the dwell.
-            felt: the gyro's gain, what the filter shows of which is taken off, and the delay.
-            settle_s: before the dwell.
+        `felt` has the gyro's gain, what the filter shows of which is taken off, and the delay.
         """
         whole = self.kept.samples
         rate_dps = whole.gyro_dps[:, self.along] - self.bias_dps
@@ -288,11 +281,8 @@ class Traverse:
 def planned_times_s(plan: Plan, planned: Sequence[PlannedPose], stored: int, first_s: float) -> list[float]:
     """Times of the poses, s; those of a pass are told together at its end, its first one for all of them.
 
-    Args:
-        plan: of kind `sweep`.
-        planned: its poses.
-        stored: how many of them an interrupted run has stored; a pass that is turned anew counts from there.
-        first_s: of the move to the first one.
+    `stored` is how many of them an interrupted run has stored; a pass that is turned anew counts from there.
+    `first_s` is that of the move to the first one.
     """
     times_s = [0.0] * len(planned)
     times_s[0] = plan.wait_s + first_s + plan.first_settle_s + plan.dwell_s
@@ -411,11 +401,7 @@ class ContinuousSweep:
                 passed = []
 
     def _take(self, from_deg: float, passed: list[PlannedPose]) -> None:
-        """One pass, turned anew where it cannot be measured; makes and stores its poses.
-
-        Raises:
-            PassLost: it could not be measured `DWELL_TRIES` times over.
-        """
+        """One pass, turned anew where it cannot be measured; makes and stores its poses."""
         end, why = passed[-1], ""
         for _ in range(DWELL_TRIES):
             self._go_to(from_deg)

@@ -13,11 +13,8 @@ def keep_log(plan: Plan, planned: list[PlannedPose], pace: AcquisitionLoop, logg
 
     A pause or an interruption leaves a gap in the log.
 
-    Args:
-        plan: of kind `static`.
-        planned: the elevation to stand at; empty where it stands already.
-        pace: of an open rig.
-        logged_s: how much of the log was kept before an interruption.
+    `planned` is the elevation to stand at, empty where it stands already; `logged_s` how much was kept before
+    an interruption.
 
     Raises:
         Ended: the run was asked to end; the log so far is stored.

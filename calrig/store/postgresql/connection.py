@@ -57,10 +57,7 @@ class Connection(psycopg.Connection[Any]):
 def connect(url: str, silent_s: float, **options: Any) -> Connection:
     """Return a connection on which each statement is a transaction.
 
-    Args:
-        url: as libpq takes it.
-        silent_s: `Connection.silent_s`.
-        options: of libpq, in place of those of `ALIVE`.
+    `options` are of libpq, in place of those of `ALIVE`.
     """
     connection = Connection.connect(url, autocommit=True, **{**ALIVE, **options})
     connection.silent_s = silent_s

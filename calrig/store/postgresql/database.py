@@ -127,7 +127,6 @@ class PostgresqlDatabase(Database):
 
     @contextmanager
     def _reading(self) -> Iterator[Session]:
-        """As `Database.reading`."""
         with self._in_words(), Session(self._reads) as session:
             yield session
 

@@ -23,7 +23,6 @@ class Listening:
     """Listens until it is closed.
 
     Args:
-        url: of the store.
         heard: what is called with the payload of each notification, by channel. It is to be quick, and to
             look for itself what has happened: anybody may notify.
         connected: called whenever it listens anew. What was told before then was not heard.

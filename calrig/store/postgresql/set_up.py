@@ -236,12 +236,9 @@ def role_name(connection: Connection, bench: str) -> str:
 
 
 def let_in(connection: Connection, role: str) -> str:
-    """Makes a bench's role, or lets one in again, with a new password.
+    """Makes a bench's role, or lets one in again, with a new password, which it returns.
 
     The server gets the SCRAM verifier alone: its log may keep statements.
-
-    Returns:
-        The password.
     """
     password, name = secrets.token_urlsafe(32), sql.Identifier(role)
     verifier = driver_of(connection).pgconn.encrypt_password(
@@ -354,12 +351,7 @@ def agent_url(centre: URL, role: str, password: str, host: str | None, port: int
 
     Across a network the server has to prove by its certificate who it is (`verify-full`).
 
-    Args:
-        centre: by which the centre reaches the database.
-        role: of the bench.
-        password: of the role.
-        host: by which agents reach the server; None where the centre's does.
-        port: likewise.
+    `host` and `port` are those by which agents reach the server; None where the centre's do.
     """
     place = centre if host is None else centre.set(host=host, query={})
     place = place.set(port=place.port if port is None else port)

@@ -15,7 +15,6 @@ class BackedUp:
     """What a backup holds.
 
     Attributes:
-        size_bytes: of its file.
         trail_seq, trail_sha256: the newest entry of its audit log; 0 and None of an empty one.
         is_current: whether the store has the layout of this version.
     """

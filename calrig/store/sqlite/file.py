@@ -22,10 +22,7 @@ def connect(where: str | Path, timeout_s: float = 5.0, **options: Any) -> sqlite
 
     https://www.sqlite.org/security.html, "Untrusted SQLite database files".
 
-    Args:
-        where: the file's path, or a URI.
-        timeout_s: how long to wait for another connection's lock.
-        options: as `sqlite3.connect` takes them.
+    `where` is a path or a URI; another connection's lock is waited for `timeout_s`.
     """
     is_uri = isinstance(where, str)
     connection: sqlite3.Connection = sqlite3.connect(where, timeout=timeout_s, uri=is_uri, **options)

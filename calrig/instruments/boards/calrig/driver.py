@@ -106,7 +106,6 @@ class SampleStream:
     Args:
         identity: the board's ranges.
         rate_hz: the rate it was started with.
-        faults: counts by kind.
     """
 
     def __init__(self, identity: BoardIdentity, rate_hz: int, faults: Counter[str]) -> None:

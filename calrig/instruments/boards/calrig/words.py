@@ -87,13 +87,7 @@ def text_of(payload: bytes) -> str:
 
 
 def why_none(last_words: str, n_bytes: int, overlong: bytes = b"") -> str:
-    """Why there is no identity.
-
-    Args:
-        last_words: what the board said of trouble.
-        n_bytes: how many bytes came from it.
-        overlong: how the last frame began that was too long to be any.
-    """
+    """Why there is no identity."""
     if last_words:
         return f"it says {_shown(last_words)}"
     if overlong[1:2] == bytes([IDENTITY]):  # behind COBS's own first byte; noise has it once in 256
@@ -109,10 +103,8 @@ def why_none(last_words: str, n_bytes: int, overlong: bytes = b"") -> str:
 def why_useless(faults: Counter[str], *, went_on: bool, reads_zero: bool) -> str:
     """Why none of its samples was valid for so long.
 
-    Args:
-        faults: counts by kind since the last valid one.
-        went_on: whether whole samples came all the while, each refused.
-        reads_zero: whether the last one's registers were all 0.
+    `faults` are counts by kind since the last valid one; `went_on` is whether whole samples came, each
+    refused.
     """
     if went_on:
         return NO_SENSOR if reads_zero else USELESS[max(USELESS, key=lambda kind: faults[kind])]

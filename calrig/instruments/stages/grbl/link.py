@@ -53,7 +53,6 @@ class GrblLink:
     """One controller on a port.
 
     Attributes:
-        lines: what is written and read.
         firmware: from its banner, None before one was seen.
         resets: how many banners have come.
         alarm: the last alarm that came; None after it was dealt with.
@@ -158,10 +157,8 @@ class GrblLink:
     def inquire(self, line: str, form: re.Pattern[str], sure: re.Pattern[str] | None = None) -> str | None:
         """Asks for what is answered in brackets; what it says twice alike, or once where that is enough.
 
-        Args:
-            line: the query, without its end.
-            form: of the answer; its first group is what is returned.
-            sure: found in an answer that no damage makes of another.
+        The first group of `form` is what is returned; `sure` is found in an answer that no damage makes of
+        another.
 
         Returns:
             None where it never says the same twice, or does not answer.

@@ -44,13 +44,10 @@ class Refusal(Exception):  # noqa: N818 (an answer of the dialect, caught where 
 
 
 def read_number(text: str, start: int) -> tuple[float, int]:
-    """Read the number that begins at an index of a line, by GRBL's own routine (nuts_bolts.c).
+    """Read a number by GRBL's own routine (nuts_bolts.c); return it and the index after it.
 
     No exponent passes it, and no ninth digit. Leading zeros count as digits. From the ninth on, they are
     zeros before the decimal point, nothing after.
-
-    Returns:
-        The number and the index after it.
 
     Raises:
         Refusal: there is no digit (2, bad number format).
@@ -98,7 +95,6 @@ class ParserState:
     Attributes:
         position: where the last accepted line leads.
         system: the work coordinate system in force.
-        g92: the offset of G92.
         tlo: tool length offset, of Z.
     """
 
@@ -251,12 +247,8 @@ def parse(
 ) -> Block:
     """Check a line against what is in force.
 
-    Args:
-        line: upper case, without blanks and comments; of a jog, what follows `$J=`.
-        state: what is in force.
-        offsets: stored coordinate systems (0 to 5) and the places of G28 and G30.
-        axes: letters of the axes that there are.
-        is_jog: whether it is a `$J=` line.
+    `line` is in upper case, without blanks and comments; of a jog, what follows `$J=`. `offsets` are stored
+    coordinate systems (0 to 5) and the places of G28 and G30, `axes` the letters of the axes that there are.
 
     Raises:
         Refusal: the line is not executed.

@@ -56,7 +56,6 @@ class Motion:
     """What the motors were and will be commanded, of all axes.
 
     Args:
-        eeprom: rates and accelerations.
         drive: takes the way of the turning axis from an instant on, in units.
         index: of the turning axis.
 
