@@ -25,9 +25,11 @@ REFERENCE = "reference_c"
 
 
 def joint_of_accepting(
-    store: Store, unit: str, added: Sequence[AcceptedEffect], fits: Fits
+    store: Store, unit: str, added: Sequence[AcceptedEffect], fits: Fits, others: Sequence[str] = ()
 ) -> list[AcceptedEffect]:
     """Return the model of a unit once more of its effects are accepted; empty where one run has them all.
+
+    `others` are names that may be accepted besides, for the message of a refusal.
 
     Raises:
         Conflict: the effects cannot be fitted together, or predict a run worse than what is in force.
@@ -50,22 +52,24 @@ def joint_of_accepting(
         raise Conflict(f"the effects cannot be fitted together with those in force: {error}") from error
     for one in growths:
         if one.is_too_large:
-            others = [run.id for run in ordered if run.id != one.run_id]
-            raise Conflict(_too_large(one, others))
+            other_runs = [run.id for run in ordered if run.id != one.run_id]
+            raise Conflict(_too_large(one, other_runs, others))
     return _accepted(together, runs, found) if is_needed else []
 
 
-def _too_large(growth: Growth, others: Sequence[str]) -> str:
+def _too_large(growth: Growth, other_runs: Sequence[str], others: Sequence[str]) -> str:
     said = (
         f"accepting would make run {growth.run_id} worse: its error on held-out poses would grow from "
         f"{growth.before_deg:.3g}° to {growth.after_deg:.3g}°"
     )
-    if not others:
+    if others:
+        return f"{said}. Accept it together with {', '.join(others)}, if they cancel each other in part"
+    if not other_runs:
         return f"{said}. Its poses do not determine the effects: measure more poses, and diagnose again"
     return (
-        f"{said} with one model of it and run {', '.join(others)}. The unit has changed between the runs, or "
-        "an effect is not what it seems: revoke what was accepted from the earlier run, or void the run that "
-        "is wrong"
+        f"{said} with one model of it and run {', '.join(other_runs)}. The unit has changed between the "
+        "runs, or an effect is not what it seems: revoke what was accepted from the earlier run, or void the "
+        "run that is wrong"
     )
 
 
