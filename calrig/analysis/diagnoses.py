@@ -188,7 +188,8 @@ class Acceptance:
                 raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
             acceptable, reasons = _accepted_of(run, found)
             accepted, left = [*accepted, *acceptable], [*left, *reasons]
-        joint = joint_of_accepting(self._store, run.unit, accepted, fits, _others_of_unit(diagnosis, names))
+        others = _others_of_unit(diagnosis, names)
+        accepted, joint = joint_of_accepting(self._store, run.unit, accepted, fits, others)
         self._store.effects.accept(run_id, accepted, joint, who=who)
         said = [f"accepted from run {short_name(run_id)}: {_listed(names, run)}", *left]
         return self._refit(run_id, who, "; left out: ".join(said))
