@@ -65,7 +65,7 @@ class Calibration:
             TypeError: neither or both of reading and accelerations.
             ValueError: a temperature or another column is needed and not given, or shapes differ.
         """
-        return self._applied(reading_deg, temperature_c, accel_g, columns, lambda elevation: elevation)
+        return self._applied(reading_deg, temperature_c, accel_g, columns, lambda elevation, *_: elevation)
 
     def elevation_std_deg(
         self,
@@ -88,7 +88,7 @@ class Calibration:
         temperature_c: Numbers | None,
         accel_g: Numbers | None,
         columns: Mapping[str, Numbers] | None,
-        made_of: Callable[[FloatArray], FloatArray],
+        made_of: Callable[..., FloatArray],
     ) -> Any:
         if (reading_deg is None) == (accel_g is None):
             raise TypeError("give either readings or accelerations (accel_g)")
@@ -99,9 +99,9 @@ class Calibration:
 
         celsius = None if temperature_c is None else of_each(temperature_c)
         others = {name: of_each(values) for name, values in (columns or {}).items()}
-        elevation = made_of(self._application.elevation_deg(reading.ravel(), celsius, others))
-        elevation = elevation.reshape(reading.shape)
-        return float(elevation) if elevation.ndim == 0 else elevation
+        elevation = self._application.elevation_deg(reading.ravel(), celsius, others)
+        made = made_of(elevation, celsius, others).reshape(reading.shape)
+        return float(made) if made.ndim == 0 else made
 
     def _readings(self, reading_deg: Numbers | None, accel_g: Numbers | None) -> FloatArray:
         if accel_g is None:

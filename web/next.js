@@ -63,8 +63,11 @@ export class NextStep {
   }
 
   /** Accepts effects, in one revision. */
-  acceptButton(names) {
-    const text = names.length > 1 ? `Accept all named (${names.length})` : "Accept the named effect";
+  acceptButton(offered) {
+    const names = offered.map(({ name }) => name);
+    const isNamed = offered.every(({ verdict }) => verdict === "named");
+    const which = isNamed ? " named" : "";
+    const text = names.length > 1 ? `Accept all${which} (${names.length})` : `Accept the${which} effect`;
     const accept = button(text, () =>
       attempt([accept], this.error, async () => {
         await post(`${this.path}/diagnosis/accept`, { effects: [...new Set(names)] });
@@ -106,19 +109,23 @@ function stepOf(run) {
   return diagnosis && offeredOf(run).length && may("releaser") ? "accept" : "use";
 }
 
-/** The effects that can be accepted and have not been; older diagnoses do not state whose correction each is. */
+/**
+ * The effects that can be accepted and have not been; older diagnoses do not state whose correction each is. Of an
+ * ambiguous one that corrects the unit the name alone is in doubt.
+ */
 function offeredOf({ rig, diagnosis }) {
   const hasOwner = ({ corrects }) => isKnown(corrects) && (corrects !== "rig" || isKnown(rig));
   return diagnosis.effects.filter(
-    (effect) => effect.verdict === "named" && hasOwner(effect) && !effect.changed && !isKnown(effect.accepted_at),
+    (effect) => effect.verdict !== "unnamed" && hasOwner(effect) && !effect.changed && !isKnown(effect.accepted_at),
   );
 }
 
 async function toAccept(run, next) {
-  const { effectTitle, knowEffects } = await import("./effects.js");
+  const { effectTitle, knowEffects, suspectWords } = await import("./effects.js");
   await knowEffects();
   const offered = offeredOf(run);
-  const named = (effect) => effectTitle(effect, run.diagnosis.reference);
+  const named = (effect) =>
+    (effect.verdict === "named" ? effectTitle : suspectWords)(effect, run.diagnosis.reference);
   const listed = (scope) => [...new Set(offered.filter(({ corrects }) => corrects === scope).map(named))];
   const [ofUnit, ofRig] = [listed("unit"), listed("rig")];
   const sentences = [
@@ -126,7 +133,7 @@ async function toAccept(run, next) {
     ofRig.length && ["Stores as errors of ", rigLink(run.rig), `, not exported with the unit: ${inSentence(ofRig)}.`],
   ];
   return {
-    buttons: [next.acceptButton(offered.map(({ name }) => name))],
+    buttons: [next.acceptButton(offered)],
     says: sentences.filter(Boolean).map((one) => h("p", { class: "muted" }, one)),
   };
 }

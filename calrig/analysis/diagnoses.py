@@ -179,16 +179,20 @@ class Acceptance:
 
     def _accept(self, run_id: str, names: Sequence[str], who: str | None, fits: Fits) -> Run:
         run, diagnosis = stored_run(self._store, run_id), Diagnoses(self._store).last(run_id)
-        accepted = []
+        accepted: list[AcceptedEffect] = []
+        left: list[str] = []
         for name in dict.fromkeys(names):
             found = [effect for effect in diagnosis["effects"] if effect["name"] == name]
             if not found:
                 listed = ", ".join(dict.fromkeys(effect["name"] for effect in diagnosis["effects"])) or "none"
                 raise Conflict(f"the diagnosis of run {run_id} has no effect {name!r}; it has: {listed}")
-            accepted += _accepted_of(run, found)
-        joint = joint_of_accepting(self._store, run.unit, accepted, fits)
+            acceptable, reasons = _accepted_of(run, found)
+            accepted, left = [*accepted, *acceptable], [*left, *reasons]
+        others = _others_of_unit(diagnosis, names)
+        accepted, joint = joint_of_accepting(self._store, run.unit, accepted, fits, others)
         self._store.effects.accept(run_id, accepted, joint, who=who)
-        return self._refit(run_id, who, f"accepted from run {short_name(run_id)}: {_listed(names, run)}")
+        said = [f"accepted from run {short_name(run_id)}: {_listed(names, run)}", *left]
+        return self._refit(run_id, who, "; left out: ".join(said))
 
     def take_back(self, run_id: str, names: Sequence[str], reason: str, *, who: str | None = None) -> Run:
         """Takes effects that were accepted from a run out of force; an earlier acceptance is in force again.
@@ -223,32 +227,51 @@ class Acceptance:
 
 
 def _listed(names: Sequence[str], run: Run) -> str:
-    is_good = (run.diagnosis or {}).get("reference") == "good"
-    return ", ".join(title_inside(name, reference_is_good=is_good) for name in names)
+    """Return the titles of effects of a run's diagnosis, each with those that it may be as well."""
+    diagnosis = run.diagnosis or {"effects": []}
+    is_good = diagnosis.get("reference") == "good"
+    told = []
+    for name in names:
+        rivals = [r for e in diagnosis["effects"] if e["name"] == name for r in e["confusable_with"]]
+        titles = (title_inside(one, reference_is_good=is_good) for one in (name, *rivals))
+        told.append(" or ".join(dict.fromkeys(titles)))
+    return ", ".join(told)
 
 
 def _is_change(effect: dict[str, Any]) -> bool:
     return effect.get("changed") is not None
 
 
-def _accepted_of(run: Run, found: Sequence[dict[str, Any]]) -> list[AcceptedEffect]:
-    """Those of one name that can be accepted; Conflict, with the first one's reason, if none can."""
+def _others_of_unit(diagnosis: dict[str, Any], names: Sequence[str]) -> list[str]:
+    """Return names of the unit's effects of a diagnosis that can be accepted, were not, and are not now."""
+    still_open = (e for e in diagnosis["effects"] if e.get("corrects") == "unit" and not e.get("accepted_at"))
+    return [name for name in dict.fromkeys(e["name"] for e in still_open) if name not in names]
+
+
+def _accepted_of(run: Run, found: Sequence[dict[str, Any]]) -> tuple[list[AcceptedEffect], list[str]]:
+    """Those of one name that can be accepted, and why the others cannot.
+
+    Raises:
+        Conflict: none can; with the first one's reason.
+    """
     accepted, reasons = [], []
     for effect in sorted(found, key=_is_change):  # what was the same in all runs goes first
         try:
             accepted.append(_accepted(run, effect))
         except Conflict as reason:
-            reasons.append(reason)
+            reasons.append(str(reason))
     if not accepted:
-        raise reasons[0]
-    return accepted
+        raise Conflict(reasons[0])
+    return accepted, reasons
 
 
 def _accepted(run: Run, effect: dict[str, Any]) -> AcceptedEffect:
     name, origin = effect["name"], effect["origin"]
     corrects = effect.get("corrects")  # absent in diagnoses of before
     if effect["verdict"] != "named" and corrects is None:
-        raise Conflict(f"{name} is {effect['verdict']}, not named: separate it from its look-alikes first")
+        period = effect["parameters"].get("period_deg")
+        which = name if period is None else f"{name} of {period['value']:.4g}°"
+        raise Conflict(f"{which} is {effect['verdict']}, not named: separate it from its look-alikes first")
     if name not in EFFECTS:
         raise Conflict(f"{name} is not in the catalogue of this version of calrig: diagnose the run again")
     if _is_change(effect):

@@ -25,9 +25,18 @@ REFERENCE = "reference_c"
 
 
 def joint_of_accepting(
-    store: Store, unit: str, added: Sequence[AcceptedEffect], fits: Fits
-) -> list[AcceptedEffect]:
-    """Return the model of a unit once more of its effects are accepted; empty where one run has them all.
+    store: Store, unit: str, added: Sequence[AcceptedEffect], fits: Fits, others: Sequence[str] = ()
+) -> tuple[list[AcceptedEffect], list[AcceptedEffect]]:
+    """Return the effects with the covariance of their parameters, and the model of the unit with them.
+
+    The model is empty where one run has all effects: the values of its diagnosis stand.
+
+    Args:
+        store: with what was accepted before.
+        unit: serial number.
+        added: the effects accepted now.
+        fits: where the fit is made.
+        others: names that may be accepted besides, for the message of a refusal.
 
     Raises:
         Conflict: the effects cannot be fitted together, or predict a run worse than what is in force.
@@ -35,7 +44,7 @@ def joint_of_accepting(
     before = store.effects.acceptances(unit)
     together = [*before, *(one for one in added if one.unit is not None)]
     if len(together) == len(before):
-        return []
+        return [*added], []
     earlier, runs = _runs(store, before), _runs(store, together)
     in_force = [one for one in store.effects.in_force(unit, None) if one.unit is not None]
     ordered = [*earlier, *(run for run in runs if run.id not in {one.id for one in earlier})]
@@ -46,26 +55,33 @@ def joint_of_accepting(
         found, growths = fits(partial(_fitted, asked, effects, as_applied(in_force), len(earlier)))
     except DiagnosisError as error:
         if not is_needed:  # too few poses count since the diagnosis, whose values stand
-            return []
+            return [*added], []
         raise Conflict(f"the effects cannot be fitted together with those in force: {error}") from error
     for one in growths:
         if one.is_too_large:
-            others = [run.id for run in ordered if run.id != one.run_id]
-            raise Conflict(_too_large(one, others))
-    return _accepted(together, runs, found) if is_needed else []
+            other_runs = [run.id for run in ordered if run.id != one.run_id]
+            raise Conflict(_too_large(one, other_runs, others))
+    if is_needed:
+        return [*added], _accepted(together, runs, found)
+    if len(found.factors) != len(together):  # two are one
+        return [*added], []
+    factors = iter(found.factors[len(before) :])
+    return [one if one.unit is None else replace(one, factor=next(factors)) for one in added], []
 
 
-def _too_large(growth: Growth, others: Sequence[str]) -> str:
+def _too_large(growth: Growth, other_runs: Sequence[str], others: Sequence[str]) -> str:
     said = (
         f"accepting would make run {growth.run_id} worse: its error on held-out poses would grow from "
         f"{growth.before_deg:.3g}° to {growth.after_deg:.3g}°"
     )
-    if not others:
+    if others:
+        return f"{said}. Accept it together with {', '.join(others)}, if they cancel each other in part"
+    if not other_runs:
         return f"{said}. Its poses do not determine the effects: measure more poses, and diagnose again"
     return (
-        f"{said} with one model of it and run {', '.join(others)}. The unit has changed between the runs, or "
-        "an effect is not what it seems: revoke what was accepted from the earlier run, or void the run that "
-        "is wrong"
+        f"{said} with one model of it and run {', '.join(other_runs)}. The unit has changed between the "
+        "runs, or an effect is not what it seems: revoke what was accepted from the earlier run, or void the "
+        "run that is wrong"
     )
 
 

@@ -1,7 +1,7 @@
 """Bias and scale by least squares: reading = bias + scale·θ, with what they are worth."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,26 @@ FAR, FEWEST_SPREAD = 12.0, 10
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class JointErrors:
+    """Errors of bias, scale and the parameters of the unit's effects, as steps that are independent.
+
+    Bias and scale hide most of an error of an eccentricity or a nonlinearity: of a calibrated elevation all
+    errors are far smaller together than each is by itself.
+
+    Attributes:
+        parameters: of effects, each with the place of its effect among those of the unit.
+        steps: (q, 2 + p) of bias, scale and parameters; their covariance is stepsᵀ·steps.
+        elevation_deg: (q, n) what each step makes of the calibrated elevation at each pose.
+        mean_variance_deg2: the mean over the range of the squares' sum.
+    """
+
+    parameters: tuple[tuple[int, str], ...]
+    steps: FloatArray
+    elevation_deg: FloatArray
+    mean_variance_deg2: float
+
+
 @dataclass(frozen=True, slots=True)
 class Line:
     """A fitted line; what the poses do not tell is None.
@@ -48,6 +68,7 @@ class Line:
         effect_parameters: of effects, fitted to the same poses in addition; each takes a degree of freedom.
         slope: by how much a reading grows per degree of elevation, where curves of the unit make that another
             than the scale: its inverse square is the mean of the poses'.
+        errors: of the line together with the unit's effects; None where these have no standard errors.
     """
 
     bias_deg: float
@@ -58,6 +79,7 @@ class Line:
     residual_std_deg: float | None
     effect_parameters: int = 0
     slope: float | None = None
+    errors: JointErrors | None = field(default=None, compare=False, repr=False)
 
     @property
     def follows(self) -> bool:

@@ -157,7 +157,7 @@ class Applier:
         if self._report.has_faults:
             return ""
         elevation = self.application.elevation_deg(reading_deg, celsius, further)
-        std = self.application.std_deg(elevation)
+        std = self.application.std_deg(elevation, celsius, further)
         self._many.add(np.isnan(elevation), table.lines)
         self._beyond.add(self.application.beyond_range(elevation) > 0.0, table.lines)
         if celsius is not None:

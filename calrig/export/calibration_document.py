@@ -125,6 +125,7 @@ def calibration_content(
         "bias_deg": line.bias_deg,
         "scale": line.scale,
         "covariance": None if line.covariance is None else [list(row) for row in line.covariance],
+        "joint_covariance": _joint_covariance(line),
         "effects": [
             {"name": effect.name, "parameters": effect.parameters, "formula": effect_of(effect.name).formula}
             for effect in accepted
@@ -144,6 +145,20 @@ def calibration_content(
         "uncertainty": {**worth.to_dict(), **_by_map(elevations, line, reference, provenance or {})},
         "temperature_c": figures["temperature_c"],
         "degrees_of_freedom": None if result.over_range is None else result.over_range.freedom,
+    }
+
+
+def _joint_covariance(line: Line) -> Document | None:
+    """Return what the uncertainty of an elevation follows from; None where bias and scale are all."""
+    if line.errors is None:
+        return None
+    effects = [f"effects[{k}].{name}" for k, name in line.errors.parameters]
+    matrix = line.errors.steps.T @ line.errors.steps
+    return {
+        "parameters": ["bias_deg", "scale", *effects],
+        "matrix": matrix.tolist(),
+        "scatter_deg": line.residual_std_deg,
+        "slope": line.slope or line.scale,
     }
 
 

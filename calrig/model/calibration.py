@@ -44,6 +44,21 @@ class Accelerometer(Model):
     matrix: list[list[float]]
 
 
+class JointCovariance(Model):
+    """Covariance of bias, scale and the parameters of effects, such as `effects[0].amplitude_deg`.
+
+    A calibrated elevation has the variance (scatter² + g·matrix·gᵀ)/(slope of the reading)², with g the
+    derivatives of the reading by the parameters, and that of the reference.
+    """
+
+    parameters: list[str]
+    matrix: list[list[float]]
+    scatter_deg: float = Field(description="Standard deviation of a reading about the calibration.")
+    slope: float = Field(
+        description="Of the reading by elevation; its inverse square is the mean of those of the poses."
+    )
+
+
 class Calibration(Model):
     """A unit's calibration (CONTRACT section 6); it never changes once issued.
 
@@ -65,6 +80,9 @@ class Calibration(Model):
     bias_deg: float
     scale: float
     covariance: list[list[float]] | None
+    joint_covariance: JointCovariance | None = Field(
+        default=None, description="Null without effects of known standard errors, and in older documents."
+    )
     effects: list[NamedEffect]
     gyro: CalibrationGyro | None
     rms_raw_deg: float

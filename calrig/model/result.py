@@ -117,6 +117,8 @@ class RangeErrors:
         lowest_error_deg: (m,) of the poses in each stretch, calibrated elevation less θ.
         highest_error_deg: (m,) of the same poses.
         mean_error_deg: over the range; what a fit leaves has about none, what is verified may.
+        error_steps: independent errors, each of bias, of scale and of an elevation at each place; None where
+            bias and scale have no others beside them.
     """
 
     bias_deg: float
@@ -131,6 +133,7 @@ class RangeErrors:
     lowest_error_deg: tuple[float, ...]
     highest_error_deg: tuple[float, ...]
     mean_error_deg: float
+    error_steps: tuple[tuple[float, ...], ...] | None = None
 
 
 class Verified(Model):

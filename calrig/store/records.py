@@ -167,8 +167,8 @@ class AcceptedEffect:
     Attributes:
         runs: ids of the runs whose poses the parameters were fitted to.
         std: standard errors of the parameters, where they are known.
-        factor: of each parameter a row of the matrix L that has the covariance L·Lᵀ of all effects accepted
-            together; none where that is not known.
+        factor: of each parameter a row of the triangular matrix L that has the covariance L·Lᵀ of all effects
+            accepted until then, in their order; none where that is not known.
         run_offset_std_deg: standard deviation between days and clampings; None where it was not fitted.
         is_joint: the parameters are those of one model of all acceptances of the unit, fitted by calrig, not
             those of the diagnosis that was accepted.

@@ -95,6 +95,16 @@ def test_effects_accepted_later_make_another_revision_with_its_own_number(lab):
     assert all("formula" in effect for effect in second.document["effects"])
 
 
+def test_what_cannot_be_accepted_of_several_of_one_name_is_said(lab):
+    run = lab.imports()
+    doubtful = {**WARMTH, "verdict": "ambiguous", "corrects": None, "confusable_with": ["time_drift"]}
+    lab.store.runs.update(run.id, diagnosis={"effects": [WARMTH, doubtful]})
+    Acceptance(lab.store, lab.issuer).accept(run.id, [WARMTH["name"]])
+    revision = lab.store.revisions.in_force("A")
+    assert len(revision.document["effects"]) == 1
+    assert "; left out: temperature_bias is ambiguous, not named" in revision.reason
+
+
 def test_what_is_not_a_calibration_of_its_own_replaces_nothing(lab):
     run = lab.imports()
     for plan, follows in (({"kind": "verification"}, None), ({"kind": "static"}, None), (None, run.id)):

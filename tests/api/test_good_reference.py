@@ -95,6 +95,60 @@ def test_what_was_accepted_is_in_the_document_and_all_formats_agree(bench, trace
         np.testing.assert_allclose((in_c_deg - by_apply_deg + 180.0) % 360.0 - 180.0, 0.0, atol=3e-4)
 
 
+def diagnosed(bench, unit, target_deg, reading_deg):
+    """The address of an imported run of a unit, and its diagnosis."""
+    rows = (f"{target},{reading:.6f}" for target, reading in zip(target_deg, reading_deg, strict=True))
+    run = imported(bench, unit, "\n".join(["target_deg,reading_deg", *rows]), rig="bench-1")
+    url = f"/api/runs/{run['id']}"
+    return url, bench.post(f"{url}/diagnosis?wait=true", json={}).raise_for_status().json()
+
+
+def test_a_doubt_about_the_name_alone_keeps_no_correction_out_of_force(bench):
+    """A universal joint bent by 12°: tan reading = tan angle · cos 12°, an order 2 of the turn."""
+
+    def joint_deg(angle_deg):
+        there = np.radians(angle_deg)
+        return np.degrees(np.arctan2(np.sin(there) * np.cos(np.radians(12.0)), np.cos(there))) % 360.0
+
+    rng, target_deg = np.random.default_rng(1), 10.0 * np.arange(36)
+    url, found = diagnosed(bench, "UJ-1", target_deg, joint_deg(target_deg) + rng.normal(0.0, 0.02, 36))
+    (effect,) = found["effects"]
+    assert {effect["name"], *effect["confusable_with"]} == {"axis_mismatch", "stage_periodic"}
+    assert (effect["verdict"], effect["corrects"]) == ("ambiguous", "unit")
+    assert found["follow_up"] is None
+    assert not any("separate" in warning for warning in found["warnings"])
+    bench.post(f"{url}/diagnosis/accept", json={"effects": [effect["name"]]}).raise_for_status()
+    (revision, *_) = bench.get("/api/units/UJ-1/calibrations").json()
+    assert "mismatch" in revision["reason"] and " or periodic error" in revision["reason"]
+
+    calibration = Calibration(bench.get("/api/units/UJ-1/calibration?revision=latest").json())
+    between_deg = np.arange(2.5, 350.0, 5.0)
+    np.testing.assert_allclose(calibration.elevation_deg(joint_deg(between_deg)), between_deg, atol=0.02)
+
+
+def test_curves_that_cancel_each_other_in_part_are_accepted_together_alone(bench):
+    """An inclinometer that takes the arc sine of a gain 1 % too small: a cubic and an order 1 in one sum."""
+
+    def inclinometer_deg(angle_deg):
+        return np.degrees(np.arcsin(0.99 * np.sin(np.radians(angle_deg)) + 0.005))
+
+    rng, target_deg = np.random.default_rng(1), np.arange(-70.0, 70.1, 5.0)
+    url, found = diagnosed(
+        bench, "IN-1", target_deg, inclinometer_deg(target_deg) + rng.normal(0.0, 0.02, 29)
+    )
+    names = [effect["name"] for effect in found["effects"]]
+    assert (len(names), {effect["corrects"] for effect in found["effects"]}) == (2, {"unit"})
+    for name, other in (names, names[::-1]):
+        refused = bench.post(f"{url}/diagnosis/accept", json={"effects": [name]})
+        assert (refused.status_code, f"together with {other}" in refused.json()["detail"]) == (409, True)
+    bench.post(f"{url}/diagnosis/accept", json={"effects": names}).raise_for_status()
+
+    calibration = Calibration(bench.get("/api/units/IN-1/calibration?revision=latest").json())
+    between_deg = np.arange(-67.5, 70.0, 5.0)
+    left_deg = calibration.elevation_deg(inclinometer_deg(between_deg)) - between_deg
+    assert np.sqrt(np.mean(left_deg**2)) < 0.02, "as noisy as one reading; 0.18 without effects"
+
+
 def test_another_question_is_another_diagnosis(bench, traced):
     url, _ = traced
     asked = {"reference": "stage", "periods": [24.0]}

@@ -111,6 +111,7 @@ def test_what_poses_do_not_say_is_null_not_missing():
             "lowest_error_deg": [0.0],
             "highest_error_deg": [0.0],
             "mean_error_deg": 0.0,
+            "error_steps": None,
         },
         "stopped_by": "plan",
     }

@@ -51,6 +51,24 @@ def test_at_one_elevation_it_is_the_tails_of_a_normal(error_deg, allowed_deg):
     assert probability({"max_error_deg": allowed_deg}, one, NORMAL) == pytest.approx(expected, abs=5e-4)
 
 
+def test_errors_of_a_line_by_steps_run_the_risk_of_its_covariance():
+    """Of the steps of a line alone; a third that undoes them at every elevation leaves none."""
+    nodes = tuple(np.arange(-60.0, 61.0, 10.0))
+    covariance = ((0.02, 1e-4), (1e-4, 2e-6))
+    root = np.linalg.cholesky(np.array(covariance)).T
+    of_elevation = -(root @ np.stack([np.ones(len(nodes)), nodes]))
+    steps = tuple(map(tuple, np.column_stack([root, of_elevation]).tolist()))
+    line = found(0.1, nodes_deg=nodes, covariance=covariance)
+    by_steps = found(0.1, nodes_deg=nodes, covariance=covariance, error_steps=steps)
+    limits = {"max_error_deg": 0.4, "bias_deg": (-0.3, 0.3), "scale": (0.998, 1.003)}
+    expected = probability(limits, line, FIXED)
+    assert 0.5 < expected < 0.9
+    assert probability(limits, by_steps, FIXED) == pytest.approx(expected, abs=0.01)
+    hidden = tuple((*step[:2], *(0.0,) * len(nodes)) for step in steps)
+    free = found(0.1, nodes_deg=nodes, covariance=covariance, error_steps=hidden)
+    assert probability({"max_error_deg": 0.11}, free, FIXED) == 1.0
+
+
 def test_a_common_error_is_the_same_over_the_whole_range():
     """Thirteen elevations run no more risk than one, for they err together."""
     asked = {"max_error_deg": 0.3}

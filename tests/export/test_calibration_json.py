@@ -49,6 +49,7 @@ def test_the_content_has_the_contracts_names_and_is_json():
         "bias_deg": pytest.approx(0.25),
         "scale": pytest.approx(1.002),
         "effects": [],
+        "joint_covariance": None,
         "readings_wrap": None,
         "gyro": {"bias_dps": [0.1, -0.2, 0.3], "scale": 1.001},
         "rms_with_effects_deg": None,

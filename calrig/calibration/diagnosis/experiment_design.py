@@ -91,7 +91,7 @@ class FollowUp:
 def ambiguous_of(findings: Findings) -> SelectedEffect | None:
     """The first effect whose rivals a run may separate: no change between runs, and not one curve."""
     suspected = (f for f in findings.found if f.verdict == "ambiguous" and f.candidate.changed is None)
-    return next((f for f in suspected if not f.is_one_curve(findings.responses)), None)
+    return next((f for f in suspected if not f.is_one_curve(findings.responses, findings.found)), None)
 
 
 def design(

@@ -49,8 +49,8 @@ Parameters = dict[str, dict[str, float | None] | None]
 LEVEL = "reading.level"
 DEALS = 5
 """Of the poses into folds: of a run of a dozen poses one deal says more of chance than of the model."""
-SMALL = 1e-3
-"""Of a standard error: a step for derivatives."""
+SMALL, SINGULAR = 1e-3, 1e-12
+"""Of a standard error: a step for derivatives. Of a variance: what makes values of one curve independent."""
 MOST_GROWTH = 1.05
 """Of a run's error on held-out poses: what one more run's effects may make of it."""
 
@@ -81,8 +81,8 @@ class JointEffects:
         effects: of each its name, and `{"value", "std"}` by parameter (CONTRACT section 5).
         run_offset_std_deg: standard deviation of a run's level between days and clampings, beyond what the
             poses of a run scatter by; None of a single run.
-        factors: of each effect and each parameter with a standard error, a row of a matrix L. The parameters
-            of all effects have the covariance L·Lᵀ.
+        factors: of each effect and each parameter with a standard error, a row of a triangular matrix L. The
+            parameters of all effects have the covariance L·Lᵀ, to first order, and so have the first of them.
     """
 
     effects: list[tuple[str, Parameters]]
@@ -123,7 +123,11 @@ class _Problem:
         names = [name for name in r.base_names if name != replaced(candidates)]
         levels = [k for k, name in enumerate(names) if name == LEVEL]
         between = _between_runs_deg(beta[levels], covariance[np.ix_(levels, levels)]) if levels else None
-        factors = [] if chosen is not None else _factors(self.shared, own, beta, covariance, effects)
+        stated = np.diag(model.fitted.covariance)
+        # one factor for all: another for each would undo that errors of curves alike cancel
+        wider = np.mean(np.divide(np.diag(covariance), stated, out=np.ones_like(stated), where=stated > 0.0))
+        alike = wider * model.fitted.covariance
+        factors = [] if chosen is not None else _factors(self.shared, own, beta, alike, effects)
         return JointEffects(effects, between, factors)
 
 
@@ -134,7 +138,7 @@ def _factors(
     covariance: FloatArray,
     effects: Sequence[tuple[str, Parameters]],
 ) -> list[dict[str, list[float]]]:
-    """The rows of L (`JointEffects.factors`): stated errors, correlated as the coefficients are."""
+    """Return the rows of L (`JointEffects.factors`), by the covariance (p, p) of the coefficients."""
     known = [
         [(name, std) for name, one in found.items() if one and (std := one["std"])] for _, found in effects
     ]
@@ -155,10 +159,9 @@ def _factors(
     between = slopes @ covariance @ slopes.T
     size = np.sqrt(np.diag(between))
     alone = size == 0.0  # a place that was refined (a period) is no coefficient
-    correlation = between / np.outer(size + alone, size + alone) + np.diag(alone.astype(float))
-    values, vectors = np.linalg.eigh(correlation)
-    stds = np.array([std for names in known for _, std in names])
-    rows_of = (stds[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).tolist()
+    size = np.where(alone, [std for names in known for _, std in names], size)
+    correlation = between / np.outer(size, size) + np.diag(alone + SINGULAR)
+    rows_of = (size[:, None] * np.linalg.cholesky(correlation)).tolist()
     found: list[dict[str, list[float]]] = [{} for _ in effects]
     for (k, name), row in zip(places, rows_of, strict=True):
         found[k][name] = row

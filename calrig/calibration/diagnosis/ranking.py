@@ -64,6 +64,8 @@ FARTHEST = 1e9
 SURPASSED_SHARE = 0.6
 """Of the best gain on the screen, what a candidate reaches that may have the best likelihood: a place between
 two scanned ones gains a quarter more at most, and the screen, which has the null's noise, misses no tenth."""
+POSES_A_WAVE = 4.0
+"""Or more, for poses to follow a wave from one to the next, and not an alias of it."""
 SAME = 1e-3
 """Of −2 log likelihood: the screen's single precision decides no more, and the first of equals is taken."""
 
@@ -100,15 +102,22 @@ class SelectedEffect:
             return "unnamed"
         return "ambiguous" if self.rivals else "named"
 
-    def is_one_curve(self, r: Responses) -> bool:
+    def is_one_curve(self, r: Responses, found: Iterable[Self]) -> bool:
         """Return whether all that it may be is one curve of the angle, the sensor's by a good reference.
 
-        A rival at another period, or with a corner, is another curve between the poses.
+        With the other effects `found`, its rivals leave the same residuals but for less than these are. The
+        same holds between the poses: none has a corner, and the poses follow every wave among them.
         """
-        those = (self.candidate, *self.rivals)
-        is_smooth = all(c.is_smooth_of_sensor(r) for c in those)
-        is_periodic = any(c.effect.place for c in self.rivals)
-        return is_smooth and not is_periodic and not self.alike and self.candidate.changed is None
+        others = [f.candidate for f in found if f is not self]
+        beside = [(c.label, c.shape.at) for c in others]  # a rival that is there as well is no other curve
+        those = [self.candidate, *(c for c in self.rivals if (c.label, c.shape.at) not in beside)]
+        if self.candidate.changed is not None or not all(c.is_smooth_of_sensor(r) for c in those):
+            return False
+        periods_deg = [c.shape.at[place] for c in those if (place := c.effect.place)]
+        if min(periods_deg, default=np.inf) < POSES_A_WAVE * np.diff(np.unique(r.theta_deg)).max(initial=0.0):
+            return False
+        left = [fitted_model(r, [*others, c]).fitted.residuals[:, 0] for c in those]
+        return all(np.std(one - left[0]) <= np.std(left[0]) for one in left)
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> Self:
         """Return the same in some of the poses."""

@@ -140,7 +140,15 @@ def effect_documents(r: Responses, findings: Findings) -> list[dict[str, Any]]:
     together = _sizes_together(r, whole, fitted, own)
     documents = [
         {
-            **_document(r, one, candidate, fitted, at, together.get(candidate.label)),
+            **_document(
+                r,
+                one,
+                candidate,
+                fitted,
+                at,
+                together.get(candidate.label),
+                is_one_curve=one.is_one_curve(r, findings.found),
+            ),
             "explained": share,
             "least_p_value": findings.least_p_value,
         }
@@ -259,7 +267,14 @@ def _whole_form(r: Responses, candidate: Candidate) -> Candidate:
 
 
 def _document(
-    r: Responses, found: SelectedEffect, candidate: Candidate, fitted: Fit, at: slice, together: str | None
+    r: Responses,
+    found: SelectedEffect,
+    candidate: Candidate,
+    fitted: Fit,
+    at: slice,
+    together: str | None,
+    *,
+    is_one_curve: bool,
 ) -> dict[str, Any]:
     effect = candidate.effect
     beta, covariance = fitted.beta[at], fitted.covariance[at, at]
@@ -272,12 +287,12 @@ def _document(
         "covariate": candidate.covariate,
         "parameters": parameters,
         # a curve that another undoes in part is no correction by itself
-        "corrects": None if together else _corrects(r, found, candidate),
+        "corrects": None if together else _corrects(r, found, candidate, is_one_curve=is_one_curve),
         "p_value": found.p_value,
         "changed": candidate.changed and {"from": candidate.changed.before, "to": candidate.changed.after},
         "confusable_with": list(dict.fromkeys(rival.name for rival in found.rivals)),
         "evidence": [
-            *_evidence(r, found, candidate),
+            *_evidence(r, found, candidate, is_one_curve=is_one_curve),
             *fitted_words(r, candidate.shape, candidate.columns[:, 0, :] @ beta, parameters),
             *filter(None, [together]),
         ],
@@ -290,11 +305,13 @@ def _document(
     }
 
 
-def _corrects(r: Responses, found: SelectedEffect, candidate: Candidate) -> Scope | None:
+def _corrects(
+    r: Responses, found: SelectedEffect, candidate: Candidate, *, is_one_curve: bool
+) -> Scope | None:
     """Return whose correction it is once a person accepts it; None if it cannot be accepted."""
     if candidate.changed is not None:
         return None
-    if found.is_one_curve(r):
+    if is_one_curve:
         return "unit"
     is_of_unit = candidate.named and candidate.is_of_sensor(r)
     scope: Scope = "unit" if is_of_unit else candidate.effect.scope
@@ -332,7 +349,7 @@ def _same_elsewhere(found: SelectedEffect, candidate: Candidate) -> list[str]:
     return [told] if others else []
 
 
-def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list[str]:
+def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate, *, is_one_curve: bool) -> list[str]:
     said = [f"family-wise p-value {found.p_value:.3g}: the chance of so strong an effect in noise alone"]
     witnesses = [
         CHANNELS[c] for k, c in enumerate(r.channels) if k and np.ptp(candidate.columns[:, k, :]) > 0.0
@@ -347,7 +364,7 @@ def _evidence(r: Responses, found: SelectedEffect, candidate: Candidate) -> list
     if candidate.named and found.rivals:
         names = ", ".join(dict.fromkeys(words_of(r, rival) for rival in found.rivals))
         alone = found.candidate.effect.told_apart(has_accelerometer=ANGLE in r.channels)
-        apart = ONE_CURVE if found.is_one_curve(r) else alone
+        apart = ONE_CURVE if is_one_curve else alone
         said.append(f"indistinguishable from {names} by these poses: {apart}")
     elif candidate.named and math.isfinite(found.lead):
         said.append(f"ΔBIC of the next best candidate: {found.lead:.1f}")

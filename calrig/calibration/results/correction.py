@@ -6,6 +6,7 @@ a verification all take a document's arithmetic (CONTRACT section 6) from here.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -154,7 +155,7 @@ def unit_slopes(
     theta_deg: FloatArray, line: Line, effects: Sequence[AppliedEffect], given: Circumstances
 ) -> FloatArray:
     """Return (n,) the unit's `slope_of_reading`; effects of the stage move the unit, and change none."""
-    return slope_of_reading(theta_deg, line.bias_deg, line.scale, _of_unit(effects), given)
+    return slope_of_reading(theta_deg, line.bias_deg, line.scale, of_unit(effects), given)
 
 
 def elevation_errors_deg(
@@ -175,13 +176,14 @@ def elevation_errors_deg(
         effects: of the unit and of the stage.
         given: what the effects follow.
     """
-    of_unit, felt_deg = _of_unit(effects), felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
-    added_deg = effects_on_reading_deg(of_unit, theta_deg, given, felt_deg)
+    own, felt_deg = of_unit(effects), felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
+    added_deg = effects_on_reading_deg(own, theta_deg, given, felt_deg)
     aim_deg = felt_deg - line.bias_deg + added_deg + left_deg
-    return _solved_deg(aim_deg, line.bias_deg, line.scale, of_unit, given) - theta_deg
+    return _solved_deg(aim_deg, line.bias_deg, line.scale, own, given) - theta_deg
 
 
-def _of_unit(effects: Sequence[AppliedEffect]) -> list[AppliedEffect]:
+def of_unit(effects: Sequence[AppliedEffect]) -> list[AppliedEffect]:
+    """Return those of the effects that are the unit's own, and not the stage's."""
     return [one for one in effects if effect_of(one[0]).scope == "unit" or OF_SENSOR in one[1]]
 
 
@@ -242,6 +244,8 @@ def _solved_deg(
     return np.where(stands_for_many | moving, np.nan, theta)
 
 
+SMALL = 1e-2
+"""Of a standard error, a step for derivatives."""
 WITHIN_STDS, WITHIN_SHARE = 2.0, 0.01
 """Of standard uncertainties, or of the range: beyond its end by no more, an elevation is as good as there."""
 HELD_BY_MATRIX = frozenset({"accelerometer_offset", "axis_mismatch", "axis_nonlinearity"})
@@ -288,6 +292,66 @@ def reference_temperature_c(document: Mapping[str, Any], effects: Sequence[Appli
     return math.fsum(known) / len(known) if known else None
 
 
+def _given(temperature_c: FloatArray | None, others: Mapping[str, FloatArray] | None) -> Circumstances:
+    return Circumstances(**{**(others or {}), TEMPERATURE.name: temperature_c})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joint:
+    """What a document's `joint_covariance` says, of the effects that a unit at rest shows.
+
+    Attributes:
+        parameters: of effects, each with the place of its effect among these.
+        matrix: (2 + p, 2 + p) covariance of bias, scale and parameters.
+        scatter_deg: of a reading.
+    """
+
+    parameters: Sequence[tuple[int, str]]
+    matrix: FloatArray
+    scatter_deg: float
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> Self | None:
+        found = document.get("joint_covariance")
+        if found is None:
+            return None
+        at_rest = [not isinstance(effect_of(one["name"]).in_c, NotInFlight) for one in document["effects"]]
+        parsed = [re.fullmatch(r"effects\[(\d+)\]\.(\w+)", name) for name in found["parameters"]]
+        stated = [(k, int(one[1]), one[2]) for k, one in enumerate(parsed) if one and at_rest[int(one[1])]]
+        kept = [0, 1, *(k for k, _, _ in stated)]
+        matrix = _array(found["matrix"], len(parsed), len(parsed))[np.ix_(kept, kept)]
+        parameters = [(sum(at_rest[:effect]), name) for _, effect, name in stated]
+        return cls(parameters, matrix, float(found["scatter_deg"]))
+
+    def derivatives(
+        self,
+        theta_deg: FloatArray,
+        bias_deg: float,
+        scale: float,
+        effects: Sequence[AppliedEffect],
+        given: Circumstances,
+    ) -> FloatArray:
+        """Return (2 + p, n) derivatives of the readings by the parameters, by central differences."""
+        felt_deg = felt_elevation_deg(theta_deg, bias_deg, scale)
+        found = [np.ones_like(theta_deg), theta_deg]
+        for (k, name), std in zip(self.parameters, np.sqrt(np.diag(self.matrix))[2:], strict=True):
+            step = SMALL * float(std) or SMALL
+            over, under = (
+                effects_on_reading_deg(
+                    [
+                        (one, {**values, name: values[name] + by} if place == k else values)
+                        for place, (one, values) in enumerate(effects)
+                    ],
+                    theta_deg,
+                    given,
+                    felt_deg,
+                )
+                for by in (step, -step)
+            )
+            found.append((over - under) / (2.0 * step))
+        return np.stack(found)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Application:
     """A document, ready for many readings.
@@ -304,6 +368,7 @@ class Application:
             not known, and so below.
         type_b_deg: what the reference is worth.
         covariance: (2, 2) of bias and scale.
+        joint: of bias, scale and parameters of effects, which takes its place where the document has it.
         map_std: elevations and their standard errors, relative to the mean, which take the place of
             `type_b_deg` where the document has them.
         level_std_deg: of the level, where it is known.
@@ -319,6 +384,7 @@ class Application:
     type_a_deg: float
     type_b_deg: float
     covariance: FloatArray
+    joint: _Joint | None
     map_std: tuple[FloatArray, FloatArray] | None
     level_std_deg: float
 
@@ -357,6 +423,7 @@ class Application:
             type_a_deg=_number(worth.get("type_a_deg")),
             type_b_deg=_number(worth.get("type_b_deg")),
             covariance=np.zeros((2, 2)) if covariance is None else _array(covariance, 2, 2),
+            joint=_Joint.of_document(document),
             map_std=None if grid is None else _curve(grid["elevation_deg"], grid["std_deg"]),
             level_std_deg=float(document.get("level_std_deg") or 0.0) if document.get("level_known") else 0.0,
         )
@@ -389,33 +456,56 @@ class Application:
         Raises:
             ApplyError: an effect lacks a column or a parameter.
         """
-        given = Circumstances(**{**(others or {}), TEMPERATURE.name: temperature_c})
+        given = _given(temperature_c, others)
         return calibrated_elevation_deg(
             reading_deg, self.bias_deg, self.scale, self.effects, given, turns=self.turns
         )
 
-    def std_deg(self, elevation_deg: FloatArray) -> FloatArray:
+    def std_deg(
+        self,
+        elevation_deg: FloatArray,
+        temperature_c: FloatArray | None = None,
+        others: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:
         """Return (n,) standard uncertainty (k = 1) of elevations relative to their mean over the range.
 
         Each from one reading as noisy as those of the calibration. NaN beyond the range, and where the
         document does not know it. With C the covariance of bias and scale (GUM, JCGM 100:2008, 5.2.2), of
         u²(θ) = type_a² + ((1 θ)·C·(1 θ)ᵀ − its mean over the range)/scale² + type_b²
-        the root of the mean over the range, times the document's k, is its expanded uncertainty.
+        the root of the mean over the range, times the document's k, is its expanded uncertainty. With effects
+        u²(θ) = (s² + g·C·gᵀ)/slope(θ)² + type_b², C of all parameters, g the reading's derivatives by them.
+
+        Args:
+            elevation_deg: (n,).
+            temperature_c: as of `elevation_deg`; where effects lack a column, it is the mean over the range.
+            others: likewise.
         """
         at_deg = np.clip(elevation_deg, *self.range_deg)
-        if self.map_std is None:
+        given = _given(temperature_c, others)
+        if self.map_std is not None:
+            variance = np.interp(at_deg, *self.map_std) ** 2 + self.type_a_deg**2
+        elif self.joint is not None:
+            variance = self._joint_variance_deg2(self.joint, at_deg, given) + self.type_b_deg**2
+        else:
             low, high = self.range_deg
             powers = np.array(
                 [[1.0, (low + high) / 2], [(low + high) / 2, (low**2 + low * high + high**2) / 3]]
             )
             here = np.stack([np.ones_like(at_deg), at_deg])
             of_line = np.einsum("in,ij,jn->n", here, self.covariance, here) - np.sum(powers * self.covariance)
-            variance = of_line / self.scale**2 + self.type_b_deg**2
-        else:
-            variance = np.interp(at_deg, *self.map_std) ** 2
-        variance = variance + self.type_a_deg**2 + self.level_std_deg**2
-        std_deg = np.sqrt(np.maximum(variance, 0.0))
+            variance = of_line / self.scale**2 + self.type_b_deg**2 + self.type_a_deg**2
+        std_deg = np.sqrt(np.maximum(variance + self.level_std_deg**2, 0.0))
         return np.where(np.abs(elevation_deg - at_deg) > self._tolerated_deg(std_deg), np.nan, std_deg)
+
+    def _joint_variance_deg2(self, joint: _Joint, at_deg: FloatArray, given: Circumstances) -> FloatArray:
+        """Return (n,) variance of elevations by scatter, bias, scale and effects; NaN at none."""
+        try:
+            slope = slope_of_reading(at_deg, self.bias_deg, self.scale, self.effects, given)
+            reading = joint.derivatives(at_deg, self.bias_deg, self.scale, self.effects, given)
+        except ApplyError:
+            return np.full(len(at_deg), self.type_a_deg**2)
+        of_curve = np.einsum("in,ij,jn->n", reading, joint.matrix, reading)
+        return np.asarray((joint.scatter_deg**2 + of_curve) / slope**2)
 
     def beyond_range(self, elevation_deg: FloatArray) -> FloatArray:
         """Return (n,) how far elevations are beyond the range, degrees; 0 where that is hardly so."""

@@ -5,12 +5,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, InstanceOf
 
-from calrig.calibration.line import Line, fit_line, residuals_deg, rms, strays
+from calrig.calibration.line import JointErrors, Line, fit_line, residuals_deg, rms, strays
 from calrig.calibration.poses import Pose, of_first_mount
 from calrig.calibration.regression.effect import ApplyError
-from calrig.calibration.results.correction import AppliedEffect, fit_line_with_effects, unit_slopes
+from calrig.calibration.results.correction import (
+    SMALL,
+    AppliedEffect,
+    effects_on_reading_deg,
+    felt_elevation_deg,
+    fit_line_with_effects,
+    of_unit,
+    unit_slopes,
+)
 from calrig.calibration.results.pose_errors import (
     angles_deg,
     as_clamped,
@@ -20,7 +28,7 @@ from calrig.calibration.results.pose_errors import (
     raw_error_deg,
     without_effects_deg,
 )
-from calrig.calibration.uncertainty.budget import over_range, reference_figures
+from calrig.calibration.uncertainty.budget import over_range, reference_figures, trapezoids
 from calrig.calibration.uncertainty.sequential_stopping import AS_PLANNED, Ending, cautious, widened
 from calrig.estimation.angles import FloatArray, wrap_deg
 from calrig.model.result import Extremes, Gyro, Reference, ReferenceFigures, Result
@@ -28,6 +36,8 @@ from calrig.model.result import Extremes, Gyro, Reference, ReferenceFigures, Res
 RELATIVE = (
     "The solution that was verified does not know the level: errors are less their mean over the poses."
 )
+SMALLEST = 1e-300
+"""Of a variance: what makes that of exact readings a number."""
 MOST_NAMED = 3
 """Poses far from the others that a sentence names."""
 
@@ -43,8 +53,8 @@ class EffectDoubt:
         stds: of each effect, the standard errors of its parameters by name.
         run_offset_std_deg: between days and clampings; 0 where it is not known.
         fitted_here: parameters that were fitted to the very poses that the effects are taken out of.
-        factors: of each effect, by parameter, the rows of a matrix L, where their covariance is known as
-            L·Lᵀ; the parameters of an effect without rows are taken as uncorrelated.
+        factors: of each effect, by parameter, the rows of a triangular matrix L, where their covariance is
+            known as L·Lᵀ; the parameters of an effect without rows are taken as uncorrelated.
     """
 
     stds: Sequence[Mapping[str, float]]
@@ -57,7 +67,8 @@ class EffectDoubt:
         factors = self.factors or [{} for _ in self.stds]
         width = max((len(row) for rows in factors for row in rows.values()), default=0)
         together: list[list[Mapping[str, float]]] = [
-            [{name: row[column] for name, row in rows.items()} for rows in factors] for column in range(width)
+            [{name: row[column] for name, row in rows.items() if column < len(row)} for rows in factors]
+            for column in range(width)
         ]
         alone: list[list[Mapping[str, float]]] = [
             [{name: std} if one == k else {} for one in range(len(self.stds))]
@@ -76,8 +87,8 @@ class FittedResult(Result):
         line_with_effects: the same once accepted effects are taken out; None without any.
     """
 
-    line: Line = Field(repr=False, exclude=True)
-    line_with_effects: Line | None = Field(default=None, repr=False, exclude=True)
+    line: InstanceOf[Line] = Field(repr=False, exclude=True)
+    line_with_effects: InstanceOf[Line] | None = Field(default=None, repr=False, exclude=True)
 
 
 def build_result(
@@ -236,41 +247,72 @@ def _with_fewer_degrees(line: Line, n_poses: int, fitted: int) -> Line:
 
 
 def _doubted(line: Line, poses: Sequence[Pose], effects: Sequence[AppliedEffect], doubt: EffectDoubt) -> Line:
-    """The line with the covariance of the effects' parameters in its own.
+    """The line with the covariance of the effects' parameters in its own, and beside it.
 
     With X the columns of bias and scale, and Z those of the effects, whose parameters γ have the covariance
-    P, the line fitted to the readings less Z·γ has s²·(XᵀX)⁻¹ + H·P·Hᵀ, H = (XᵀX)⁻¹XᵀZ. A fit of all of them
-    together has the same (block inverse of the normal equations). H is by central differences.
+    P, the line fitted to the readings less Z·γ has s²·(XᵀX)⁻¹ + H·P·Hᵀ, H = (XᵀX)⁻¹XᵀZ, and −H·P with γ. A
+    fit of all of them together has the same (block inverse of the normal equations). H is by central
+    differences.
     """
     if line.covariance is None:
         return line
     theta, reading = angles_deg(poses)
-    given, covariance = circumstances(poses), np.array(line.covariance)
-    for step in doubt.steps():
-        ends = [
-            fit_line_with_effects(
-                theta,
-                reading,
-                [
-                    (name, {**values, **{key: values[key] + side * by for key, by in one.items()}})
-                    for (name, values), one in zip(effects, step, strict=True)
-                ],
-                given,
-            )
-            for side in (1.0, -1.0)
-        ]
-        (above, below) = (np.array([one.bias_deg, one.scale or 1.0]) for one in ends)
-        apart = above - below
-        apart[0] = wrap_deg(apart[0])
-        covariance += np.outer(apart, apart) / 4.0
-    covariance[0, 0] += doubt.run_offset_std_deg**2
-    (of_bias, shared), (_, of_scale) = covariance.tolist()
+    given, changes = circumstances(poses), doubt.steps()
+    own = np.linalg.cholesky(np.array(line.covariance) + np.diag(np.full(2, SMALLEST))).T
+    steps = [*own, np.array([doubt.run_offset_std_deg, 0.0])]
+    felt_deg = felt_elevation_deg(theta, line.bias_deg, line.scale)
+    added = [steps[k] @ np.stack([np.ones_like(theta), theta]) for k in range(3)]
+    for step in changes:
+        ends = [_changed(effects, step, side) for side in (SMALL, -SMALL)]
+        above, below = (fit_line_with_effects(theta, reading, end, given, doubts=False) for end in ends)
+        bias_deg = float(wrap_deg(above.bias_deg - below.bias_deg)) / (2.0 * SMALL)
+        scale = ((above.scale or 1.0) - (below.scale or 1.0)) / (2.0 * SMALL)
+        steps.append(np.array([bias_deg, scale]))
+        over, under = (effects_on_reading_deg(of_unit(end), theta, given, felt_deg) for end in ends)
+        added.append(bias_deg + scale * theta + (over - under) / (2.0 * SMALL))
+    (of_bias, shared), (_, of_scale) = (np.transpose(steps) @ steps).tolist()
     return replace(
         line,
         covariance=((of_bias, shared), (shared, of_scale)),
         bias_std_deg=math.sqrt(of_bias),
         scale_std=math.sqrt(of_scale),
+        errors=_joint_errors(steps, changes, effects, added / unit_slopes(theta, line, effects, given), theta)
+        if changes
+        else None,
     )
+
+
+def _changed(
+    effects: Sequence[AppliedEffect], step: Sequence[Mapping[str, float]], share: float
+) -> list[AppliedEffect]:
+    """Return the effects with parameters changed by a share of a step."""
+    return [
+        (name, {**values, **{key: values[key] + share * by for key, by in one.items()}})
+        for (name, values), one in zip(effects, step, strict=True)
+    ]
+
+
+def _joint_errors(
+    of_line: Sequence[FloatArray],
+    changes: Sequence[Sequence[Mapping[str, float]]],
+    effects: Sequence[AppliedEffect],
+    elevation_deg: FloatArray,
+    theta_deg: FloatArray,
+) -> JointErrors:
+    """Return the steps of line and unit's effects together; the mean is over the range, not over poses."""
+    own = [k for k, one in enumerate(effects) if of_unit([one])]
+    of_unit_alone = [[change[k] for k in own] for change in changes]
+    named = dict.fromkeys(
+        (k, name) for change in of_unit_alone for k, one in enumerate(change) for name in one
+    )
+    beside = [[change[k].get(name, 0.0) for k, name in named] for change in of_unit_alone]
+    before = np.zeros((len(of_line) - len(changes), len(named)))
+    steps = np.column_stack(
+        [of_line, np.concatenate([before, np.reshape(beside, (len(changes), len(named)))])]
+    )
+    places, which = np.unique(theta_deg, return_inverse=True)
+    weight = (trapezoids(places) / np.bincount(which))[which]
+    return JointErrors(tuple(named), steps, elevation_deg, float(weight @ (elevation_deg**2).sum(axis=0)))
 
 
 def _pooled_noise_deg(poses: Sequence[Pose]) -> float | None:

@@ -72,7 +72,8 @@ def uncertainty(
 
         u²(θ) = (s² + var(bias) + 2·θ·cov(bias, scale) + θ²·var(scale))/scale²
 
-    Beside a curve of the unit's the scale here is the line's `slope`.
+    Beside a curve of the unit's the scale here is the line's `slope`; errors of its parameters are part of
+    the same sum, with their correlations to bias and scale (`JointErrors`).
 
     One figure for the whole range is the mean of u² over it (F.2.4.5). This is type A (4.2). What the
     reference is worth is type B (4.3, `reference_part`). The two are uncorrelated (5.1.2) and combine to
@@ -169,13 +170,23 @@ def _mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
     return float(covariance[0, 0] + 2.0 * mean * covariance[0, 1] + mean_square * covariance[1, 1])
 
 
+def trapezoids(theta_deg: FloatArray) -> FloatArray:
+    """Return (m,) weights by which smooth errors at ascending elevations have their mean over the range."""
+    if len(theta_deg) == 1:
+        return np.ones(1)
+    between_deg = np.diff(theta_deg)
+    return np.asarray(0.5 * (np.append(between_deg, 0.0) + np.append(0.0, between_deg)) / between_deg.sum())
+
+
 def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) -> float | None:
     if line.scale is None or line.covariance is None or line.residual_std_deg is None:
         return None
     if not line.follows:
         return None
-    of_line = _mean_over_range(np.array(line.covariance), theta_deg)
     scatter_deg = line.residual_std_deg if scatter_deg is None else scatter_deg
+    if line.errors is not None:
+        return math.hypot(scatter_deg / (line.slope or line.scale), line.errors.mean_variance_deg2**0.5)
+    of_line = _mean_over_range(np.array(line.covariance), theta_deg)
     return math.sqrt(scatter_deg**2 + of_line) / abs(line.slope or line.scale)
 
 
@@ -237,6 +248,10 @@ def over_range(
         places = places_deg(theta_deg, theta_deg if nominal_deg is None else nominal_deg)
     elevations = np.unique(places)
     of_each = [error_deg[places == place] for place in elevations]
+    steps = None
+    if line.errors is not None:
+        at_places = [line.errors.elevation_deg[:, places == place].mean(axis=1) for place in elevations]
+        steps = np.column_stack([line.errors.steps[:, :2], -np.array(at_places).T])
     worth = uncertainty(line, theta_deg, reference)
     of_error = uncertainty(line, theta_deg, reference, noise_deg or None)
     expanded = [u for u in (worth.expanded_deg, of_error.expanded_deg) if u is not None]
@@ -253,6 +268,7 @@ def over_range(
         lowest_error_deg=tuple(round(float(errors.min()), DECIMALS) for errors in of_each),
         highest_error_deg=tuple(round(float(errors.max()), DECIMALS) for errors in of_each),
         mean_error_deg=float(np.mean([errors.mean() for errors in of_each])),
+        error_steps=None if steps is None else frozen(steps.tolist()),
     )
 
 

@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from calrig.calibration.uncertainty.budget import trapezoids
 from calrig.estimation.angles import FloatArray
 from calrig.model.result import Distribution, RangeErrors, Reference, ReferenceKind
 from calrig.model.verdict import Interval, Limit
@@ -25,9 +26,10 @@ def probability_of_conformity(
     """Return the probability that the true figures comply with a limit.
 
     A calibrated elevation at θ errs by what was left of the poses there, by the error of bias and scale
-    (−(δb + θ·δs)/scale, Student's t about 0 by their covariance), and by the stage's own error d(θ), drawn by
-    its kind: one constant; A·sin θ + B·cos θ; or a line through independent settings. While the level is
-    unknown, the mean over the range is taken off, because these poses do not determine it.
+    (−(δb + θ·δs)/scale, Student's t about 0 by their covariance; by `error_steps` with effects), and by the
+    stage's own error d(θ), drawn by its kind: one constant; A·sin θ + B·cos θ; or a line through independent
+    settings. While the level is unknown, the mean over the range is taken off, because these poses do not
+    determine it.
 
     Args:
         limit: the limit; its name and rule do not matter.
@@ -39,13 +41,16 @@ def probability_of_conformity(
     theta_deg = np.array(found.elevation_deg)
     low_deg, high_deg = np.array(found.lowest_error_deg), np.array(found.highest_error_deg)
     factor = 1.0 if found.scale is None else found.scale
-    drawn = _drawn(max(found.freedom, 1), reference.kind, reference.distribution)
     of_stage = _stage_shapes(found, reference, theta_deg)
-    own_line = np.zeros((2, 2)) if found.covariance is None else _root(np.array(found.covariance)).T
-    of_line = -(own_line[:, :1] + own_line[:, 1:] * theta_deg) / factor
+    if found.error_steps:
+        own_line, of_line = np.split(np.array(found.error_steps), [2], axis=1)
+    else:
+        own_line = np.zeros((2, 2)) if found.covariance is None else _root(np.array(found.covariance)).T
+        of_line = -(own_line[:, :1] + own_line[:, 1:] * theta_deg) / factor
+    drawn = _drawn(max(found.freedom, 1), reference.kind, reference.distribution, len(own_line))
     shapes = np.concatenate([of_line, of_stage])
     if not level_known:
-        shapes = shapes - (shapes @ _weights(theta_deg))[:, None]
+        shapes = shapes - (shapes @ trapezoids(theta_deg))[:, None]
         low_deg, high_deg = low_deg - found.mean_error_deg, high_deg - found.mean_error_deg
     conforms = np.ones(DRAWS, dtype=bool)
     if limit.max_error_deg is not None:
@@ -77,20 +82,21 @@ def _rms_conforms(limit: Limit, rms_deg: float, freedom: int) -> float:
 
 
 @lru_cache(maxsize=64)
-def _drawn(freedom: int, kind: ReferenceKind, distribution: Distribution) -> FloatArray:
-    """(4, DRAWS) factors of the shapes that errors have, of variance 1 but for Student's.
+def _drawn(freedom: int, kind: ReferenceKind, distribution: Distribution, own: int) -> FloatArray:
+    """(own + 2, DRAWS) factors of the shapes that errors have, of variance 1 but for Student's.
 
-    Two of Student's t, with one χ² as a scatter has it, for the line; then two for the stage. Drawn at the
-    points of a Kronecker sequence by powers of 2^(1/6), irrational to one another (Niederreiter, Random
-    Number Generation and Quasi-Monte Carlo Methods, 1992, 4.1): probabilities come out to 0.001.
+    `own` of Student's t, with one χ² as a scatter has it, for the line; then two for the stage. Drawn at the
+    points of a Kronecker sequence by powers of 2^(1/6), or of as much finer a root of 2, irrational to one
+    another (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992, 4.1): for a line,
+    probabilities come out to 0.001.
     """
     from scipy.special import chdtri, ndtri
 
-    points = (0.5 + np.outer(np.arange(1, DRAWS + 1), 2.0 ** (np.arange(1.0, 6.0) / 6.0))) % 1.0
-    t = ndtri(points[:, :2]) * np.sqrt(freedom / chdtri(freedom, points[:, 2:3]))
-    first, second = points[:, 3], points[:, 4]
+    points = (0.5 + np.outer(np.arange(1, DRAWS + 1), 2.0 ** (np.arange(1.0, own + 4.0) / (own + 4.0)))) % 1.0
+    t = ndtri(points[:, :own]) * np.sqrt(freedom / chdtri(freedom, points[:, own : own + 1]))
+    first, second = points[:, own + 1], points[:, own + 2]
     if kind == "setting" or distribution == "normal":
-        of_stage = ndtri(points[:, 3:])
+        of_stage = ndtri(points[:, own + 1 :])
     elif kind == "common":
         of_stage = np.column_stack([math.sqrt(3.0) * (2.0 * first - 1.0), np.zeros(DRAWS)])
     else:
@@ -126,14 +132,6 @@ def _root(covariance: FloatArray) -> FloatArray:
     """A matrix R with R·Rᵀ = covariance, which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
-
-
-def _weights(theta_deg: FloatArray) -> FloatArray:
-    """(m,) by which smooth errors at the elevations have their mean over the range (trapezoids)."""
-    if len(theta_deg) == 1:
-        return np.ones(1)
-    between_deg = np.diff(theta_deg)
-    return np.asarray(0.5 * (np.append(between_deg, 0.0) + np.append(0.0, between_deg)) / between_deg.sum())
 
 
 def _lines_through(theta_deg: FloatArray, error_deg: FloatArray) -> FloatArray:

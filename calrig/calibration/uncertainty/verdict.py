@@ -406,7 +406,9 @@ def _measured(result: Result, calibration: Document | None = None) -> _Measured 
     if calibration is not None:
         same = ("bias_deg", "scale", "covariance", "expanded_uncertainty_deg", "coverage_factor")
         own_deg = found.error_expanded_uncertainty_deg
+        is_same_fit = frozen(calibration["covariance"]) == found.covariance
         found = replace(found, **{key: frozen(calibration[key]) for key in same})
+        found = found if is_same_fit else replace(found, error_steps=None)
         if own_deg is not None and found.expanded_uncertainty_deg is not None:
             least_deg = min(own_deg, found.expanded_uncertainty_deg)
             found = replace(found, error_expanded_uncertainty_deg=least_deg)

@@ -55,7 +55,10 @@ _Part = tuple[Contribution, float]
 
 
 def _of_poses(document: Mapping[str, Any], freedom: int | None) -> list[_Part]:
-    """Type A, taken apart: u²(θ) = (s² + var(b) + 2θ·cov(b, m) + θ²·var(m))/m², its mean over the range."""
+    """Type A, taken apart: u²(θ) = (s² + var(b) + 2θ·cov(b, m) + θ²·var(m))/m², its mean over the range.
+
+    With effects, bias, scale and effects are one curve: their errors cancel for the most part.
+    """
     type_a_deg, covariance = document["uncertainty"]["type_a_deg"], document["covariance"]
     if type_a_deg is None:
         return []
@@ -65,11 +68,19 @@ def _of_poses(document: Mapping[str, Any], freedom: int | None) -> list[_Part]:
     low, high = document["range_deg"]
     mean_deg, square_deg2 = (low + high) / 2.0, (low * low + low * high + high * high) / 3.0
     own, gain = covariance, abs(document["scale"])
+    t = "normal" if freedom is None else "Student's t"
+    read = "Scatter of a reading about the calibration"
+    if (joint := document.get("joint_covariance")) is not None:
+        noise = Contribution(
+            "r", read, "A", t, freedom, joint["scatter_deg"], "°", 1.0 / abs(joint["slope"]), "°/°"
+        )
+        curve_deg = math.sqrt(max(type_a_deg**2 - noise.contribution_deg**2, 0.0))
+        title = "Bias, scale and effects, from the fit"
+        curve = Contribution("c", title, "A", t, freedom, curve_deg, "°", -1.0, "°/°")
+        return [(line, line.contribution_deg**2) for line in (noise, curve)]
     of_line = own[0][0] + 2.0 * mean_deg * own[0][1] + square_deg2 * own[1][1]
     scatter_deg = math.sqrt(max((type_a_deg * gain) ** 2 - of_line, 0.0))
-    t = "normal" if freedom is None else "Student's t"
     of_scale_deg = -math.sqrt(square_deg2) / gain
-    read = "Scatter of a reading about the calibration"
     lines = [
         Contribution("r", read, "A", t, freedom, scatter_deg, "°", 1 / gain, "°/°"),
         Contribution("b", "Bias, from the fit", "A", t, freedom, own[0][0] ** 0.5, "°", -1 / gain, "°/°"),

@@ -71,7 +71,8 @@ def correction_table(
     reading_deg = _rows(application, celsius, step_deg)
     elevation_deg = _unwrapped_deg(application, reading_deg, celsius)
     correction_deg = elevation_deg - reading_deg
-    std_deg = application.std_deg(np.clip(elevation_deg, *application.range_deg))
+    temperature_c = None if celsius is None else np.full(len(reading_deg), celsius)
+    std_deg = application.std_deg(np.clip(elevation_deg, *application.range_deg), temperature_c)
     columns: list[list[str]]
     if lsb_deg is None:
         suffix = "deg"
