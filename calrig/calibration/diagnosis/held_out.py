@@ -22,7 +22,7 @@ from calrig.calibration.diagnosis.candidates import Candidate, model_columns, ow
 from calrig.calibration.diagnosis.entering import least_standard_errors
 from calrig.calibration.diagnosis.established import established, with_effects
 from calrig.calibration.diagnosis.experiment_design import predicted
-from calrig.calibration.diagnosis.ranking import SelectedEffect, decisive_pose
+from calrig.calibration.diagnosis.ranking import CONTAINED, SelectedEffect, decisive_pose
 from calrig.calibration.diagnosis.report import (
     covariance_with_places,
     left_deg,
@@ -370,7 +370,7 @@ def not_predictive(
         if rival is None:
             return one
         if one.candidate in contained:
-            return one.against(rival, "the other curves of the angle contain it: together they are one curve")
+            return one.against(rival, CONTAINED)
         at, least = own[place], least_standard_errors(one.candidate, others)
         if distance_of(model.fitted.beta[at], stated[at, at]) < least**2:
             return one.against(rival, f"its size is below {least:g} standard errors")

@@ -27,7 +27,7 @@ from calrig.calibration.diagnosis.sensor_model import (
     is_shift_seen,
 )
 from calrig.calibration.effects.backlash import YIELDING
-from calrig.calibration.effects.stage_periodic import spacing_deg
+from calrig.calibration.effects.stage_periodic import spacing_deg, turns_back
 from calrig.calibration.regression.effect import Shape
 from calrig.calibration.regression.noise_model import Fit
 from calrig.calibration.regression.responses import Responses
@@ -42,6 +42,8 @@ PAIR_MARGIN = 8.0
 """Of the criterion, by which two effects must beat the best one to enter together, and the second of them
 must pass the gate beside the first: on trial by this margin alone it was wrong in 1 % of all runs.
 """
+CONTAINED = "the other curves of the angle contain it: together they are one curve"
+"""A doubt of the name alone."""
 EQUAL = 0.01
 """Of −2 log likelihood: what differs by less is the same thing, if it has other parameters."""
 INDISTINCT = 0.5
@@ -105,8 +107,9 @@ class SelectedEffect:
     def is_one_curve(self, r: Responses, found: Iterable[Self]) -> bool:
         """Return whether all that it may be is one curve of the angle, the sensor's by a good reference.
 
-        With the other effects `found`, its rivals leave the same residuals but for less than these are. The
-        same holds between the poses: none has a corner, and the poses follow every wave among them.
+        With the other effects `found`, its rivals leave the same residuals but for less than these are, or
+        those contain it, and the sum of all is what corrects. The same holds between the poses: none has a
+        corner, and the poses follow every wave among them.
         """
         others = [f.candidate for f in found if f is not self]
         beside = [(c.label, c.shape.at) for c in others]  # a rival that is there as well is no other curve
@@ -116,6 +119,8 @@ class SelectedEffect:
         periods_deg = [c.shape.at[place] for c in those if (place := c.effect.place)]
         if min(periods_deg, default=np.inf) < POSES_A_WAVE * np.diff(np.unique(r.theta_deg)).max(initial=0.0):
             return False
+        if CONTAINED in self.doubts:
+            return True
         left = [fitted_model(r, [*others, c]).fitted.residuals[:, 0] for c in those]
         return all(np.std(one - left[0]) <= np.std(left[0]) for one in left)
 
@@ -262,7 +267,9 @@ def _alike(
     is_distinct = distinct_from(r, accepted)
     for criterion, own, other in refined(r, accepted, alike):
         carried = is_distinct(other) and effect.carried(r, other.shape)
-        if carried and other.is_possible(own):
+        # an alias that turns the readings back fits these poses as well, and makes no sense
+        is_odd = turns_back(other.shape, own) and not turns_back(best.candidate.shape, best.own)
+        if carried and other.is_possible(own) and not is_odd:
             found.append((criterion, other))
     least = min(criterion for criterion, _ in found)
     equal = [c for criterion, c in found if criterion - least < MARGIN]

@@ -488,10 +488,14 @@ def slopes_of_errors(r: Responses, accepted: Sequence[Candidate], beta: FloatArr
     return np.full(len(r), mean) if (slope * mean <= 0.0).any() else slope
 
 
+BACK = 0.05
+"""Of the mean slope, what one the other way is more than: where readings stop, noise decides its sign."""
+
+
 def turns_round(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> bool:
     """Return whether a reading stands for several elevations, in a model with coefficients (p,)."""
     slope, mean = _unit_slopes(r, accepted, beta)
-    return bool((slope * mean <= 0.0).any())
+    return bool((slope / mean < -BACK).any())
 
 
 def _unit_slopes(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> tuple[FloatArray, float]:

@@ -228,6 +228,11 @@ def _shortest_deg(theta_deg: FloatArray) -> float:
     return min(SHORTEST_PERIOD_DEG, 2.0 * float(np.ptp(theta_deg)) / len(np.unique(theta_deg)))
 
 
+def turns_back(shape: Shape, beta: FloatArray) -> bool:
+    """Return whether a wave with coefficients (2,) is so steep that readings turn back on the way."""
+    return bool(2.0 * np.pi * np.linalg.norm(beta[:2]) >= shape.at.get("period_deg", np.inf))
+
+
 def _highest(r: Responses) -> float:
     """Return the highest frequency that the spacing of the poses resolves, in cycles per degree."""
     highest, step = 1.0 / _shortest_deg(r.theta_deg), step_deg(r)
@@ -244,12 +249,14 @@ def _scanned(r: Responses) -> FloatArray:
 
 
 def unsearched(r: Responses) -> str | None:
-    """Return which periods the poses resolve and a search leaves out, and what to do; None without any."""
-    if not turns(r) or len(frequencies := _scanned(r)) == 0 or frequencies[-1] > MOSTLY * _highest(r):
+    """Return which periods the poses resolve and a search leaves out; None without any, or if one is stated."""
+    if r.known_periods_deg or not turns(r) or len(frequencies := _scanned(r)) == 0:
+        return None
+    if frequencies[-1] > MOSTLY * _highest(r):
         return None
     return (
-        f"of the periods below {1.0 / frequencies[-1]:.3g}° that these poses resolve, only "
-        "orders of the turn were searched for: state one that is known (--period)"
+        f"these poses resolve periods below {1.0 / frequencies[-1]:.3g}°; of those, none but orders of the turn "
+        f"up to {max(_known_orders(r))} was searched for: state a period that is known"
     )
 
 
