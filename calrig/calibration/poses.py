@@ -281,7 +281,7 @@ def same(a: FloatArray, b: FloatArray) -> bool:
 FEWEST_AT_END, FLAT = 4, 0.05
 """Elevations at an end of the arc over which the readings change by less than this share of the way that they
 follow: beyond the end of the sensor's range,"""
-WIDER, LEAST_BEYOND = 3, 0.02
+WIDER, LEAST_BEYOND = 3, 0.05
 """if no others, as coarse counts, stay so over one part in so many of that stretch, and it is at least
 so much of the whole arc."""
 FEWEST_FOR_UNIT_DEG, STRAIGHT, MOST_PER_DEG = 5.0, 0.3, 2.5

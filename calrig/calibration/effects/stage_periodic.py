@@ -249,14 +249,14 @@ def _scanned(r: Responses) -> FloatArray:
 
 
 def unsearched(r: Responses) -> str | None:
-    """Return which periods the poses resolve and a search leaves out; None without any, or if one is stated."""
+    """Return which periods a search leaves out; None where the poses resolve none, or somebody states one."""
     if r.known_periods_deg or not turns(r) or len(frequencies := _scanned(r)) == 0:
         return None
     if frequencies[-1] > MOSTLY * _highest(r):
         return None
     return (
-        f"these poses resolve periods below {1.0 / frequencies[-1]:.3g}°; of those, none but orders of the turn "
-        f"up to {max(_known_orders(r))} was searched for: state a period that is known"
+        f"these poses resolve periods below {1.0 / frequencies[-1]:.3g}°; of those, none but orders of the "
+        f"turn up to {max(_known_orders(r))} was searched for: state a period that is known"
     )
 
 
