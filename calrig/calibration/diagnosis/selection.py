@@ -117,14 +117,9 @@ def search(
     In several runs, search first for effects within them, each run with a free bias, then for differences
     between the biases, at half the level each.
 
-    Args:
-        r: the responses.
-        candidates: of these poses (`candidates_of`).
-        rng: of the bootstrap.
-        bootstraps: how many draws a test.
-        decide_only: whether no p-value will be reported.
-        rivals: of each effect that a search of more poses selected, the labels that compete with it.
-        noises: null distributions drawn there.
+    A test has at most so many `bootstraps`; with `decide_only` no p-value will be reported. `rivals` and
+    `noises` are of a search of more poses: of each effect the labels that compete with it, and the null
+    distributions.
     """
     judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:

@@ -222,9 +222,7 @@ class Model:
 def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
     """Fit bias, scale and effects, those on the sensor's axes through atan2.
 
-    Args:
-        r: the responses as measured.
-        accepted: the effects, their columns linear about none.
+    The columns of `accepted` are linear about none.
 
     Returns:
         The linear fit where nothing in the model bends by more than the noise shows, or it cannot be bent.
@@ -272,13 +270,7 @@ def parts_deg(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> 
 
 
 def is_shift_seen(r: Responses, accepted: Sequence[Candidate], shifting: Candidate) -> bool:
-    """Return whether effects of the elevation in a model tell if they are shifted by another effect, or not.
-
-    Args:
-        r: the responses.
-        accepted: the effects of the model.
-        shifting: the other effect, a backlash or a delay.
-    """
+    """Return whether effects of the elevation in a model tell whether a backlash or a delay shifts them."""
     moved = [m for c in accepted for m in c.members if m.shape.at_elevation is not None]
     if not moved:
         return False
