@@ -170,10 +170,7 @@ class Lines:
 def lines_of(poses: PackedPoses, theta_deg: FloatArray, rows: Intp) -> Lines:
     """The lines of runs by least squares.
 
-    Args:
-        poses: packed.
-        theta_deg: (N,) their elevations.
-        rows: (R, n) the poses of each run.
+    `theta_deg` (N,) are the elevations of the packed poses, `rows` (R, n) the poses of each run.
     """
     theta = theta_deg[rows]
     given = {name: column[rows] for name, column in poses.columns.items()}

@@ -230,12 +230,7 @@ class Fit:
 
 
 def fit(r: Responses, columns: FloatArray) -> Fit:
-    """Fit coefficients and noise in turn until they agree.
-
-    Args:
-        r: the responses.
-        columns: (n, J, p).
-    """
+    """Fit coefficients of `columns` (n, J, p) and noise in turn until they agree."""
     fitted = fits(r, r.values[None], columns[None])
     noise = NoiseModel(fitted.rotation[0], fitted.rho[0])
     return Fit(fitted.beta[0], fitted.covariance[0], fitted.residuals[0], noise, float(fitted.criterion[0]))
@@ -409,10 +404,7 @@ def moved_unweighted(r: Responses, columns: FloatArray, fitted: Fit) -> FloatArr
     (Hausman, Econometrica 46, 1978). If an effect has another shape than the model's, or strongly correlated
     noise is of another kind, each fit has its own answer, and neither is as certain as it states.
 
-    Args:
-        r: the responses.
-        columns: (n, J, p) of the fit.
-        fitted: the fit.
+    `columns` are (n, J, p) of the fit.
     """
     noise = fitted.noise
     if noise.rho.max() < STRONG_RHO:
@@ -442,10 +434,7 @@ def varied_between_parts(r: Responses, columns: FloatArray, fitted: Fit) -> Floa
     difference of both variances (Hausman, as above). If it moves further, errors grow by the Birge ratio
     (R. T. Birge, Physical Review 40, 1932): a hysteresis that depends on the speed is another in each part.
 
-    Args:
-        r: the responses.
-        columns: (n, J, p) of the fit.
-        fitted: the fit.
+    `columns` are (n, J, p) of the fit.
     """
     from scipy.special import chdtrc
 

@@ -296,9 +296,7 @@ def trace_gravity(
 def gravity_document(gravity: Gravity, line_of: Callable[[int], int] | None = None) -> dict[str, Any]:
     """Return the document of `calrig gravity --json` (CONTRACT section 7), with `warnings`.
 
-    Args:
-        gravity: what it says.
-        line_of: line in the file of a sample; without it a pose is named by its samples, from 0.
+    `line_of` gives the line in the file of a sample; without it a pose is named by its samples, from 0.
     """
     base, final, n = gravity.base, gravity.final, len(gravity.poses)
     effects = [_effect_document(gravity, found) for found in gravity.found]

@@ -76,13 +76,7 @@ class MountedPoses:
     ) -> list[MountedPoses]:
         """Return the poses of a run, by mounting: at the angle of each pose, else at the only one planned.
 
-        Args:
-            poses: those included.
-            unit: serial number.
-            run_id: of the run.
-            name: of the run, in labels.
-            axis: which of the unit's axes lies along the stage's.
-            planned_deg: mounting angles of the plan.
+        `name` is the run's in labels, `planned_deg` are the mounting angles of its plan.
         """
         lots: dict[float | None, list[Pose]] = {}
         for pose in poses:

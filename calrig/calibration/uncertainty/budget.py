@@ -206,9 +206,7 @@ def places_deg(theta_deg: FloatArray, nominal_deg: FloatArray) -> FloatArray:
 
     Those commanded, if they are at most `MOST_PLACES`; else the middles of as many segments of the range.
 
-    Args:
-        theta_deg: (n,) elevations of the poses.
-        nominal_deg: (n,) elevations that they were commanded to.
+    `theta_deg` and `nominal_deg` are (n,) elevations of the poses, and those that they were commanded to.
     """
     places = np.round(nominal_deg, 3)
     if len(np.unique(places)) <= MOST_PLACES:
