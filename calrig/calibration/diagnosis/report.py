@@ -103,7 +103,7 @@ def covariance_of(
         varied = alike(varied_between_parts(r, columns, fitted))
     if draws:
         taken = max(1.0, columns.shape[2] / len(r.channels))
-        noise = noise_of(fitted.residuals, r, taken, unbiased=True)
+        noise = noise_of(fitted.residuals, r, taken)
         drawn = np.random.default_rng(seed).standard_normal((DRAWS, *fitted.residuals.shape))
         again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
         stated = np.einsum("bpp->p", again.covariance) / DRAWS

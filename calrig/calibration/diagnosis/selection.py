@@ -220,7 +220,7 @@ def _with_curves(
 def _noise_left_by(freer: Findings) -> NoiseModel:
     """Return the noise of a model with a freer base."""
     of_each = max(1.0, freer.columns.shape[2] / len(freer.responses.channels))
-    return noise_of(freer.fitted.residuals, freer.responses, of_each, unbiased=True)
+    return noise_of(freer.fitted.residuals, freer.responses, of_each)
 
 
 def _criterion(findings: Findings) -> float:

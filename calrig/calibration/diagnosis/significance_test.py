@@ -233,7 +233,7 @@ def gate(
         return Verdict(candidates, np.empty(0, dtype=np.float32), 0.0, 1.0, level >= 1.0, least)
     model = columns_with(())
     if noise is None:
-        noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
+        noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)))
     by_known = known and known.of(tuple({c.label: None for c in candidates}), noise)
     if earlier is None:
         trial = Trial(r, columns_with, candidates, noise, fitted.residuals, draws=by_known is None)

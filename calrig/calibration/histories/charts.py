@@ -146,13 +146,9 @@ class Checks:
 
 
 def checks(
-    value: FloatArray,
-    variance: FloatArray,
-    judged_from: int,
-    ewma: Ewma = RIG_CHART,
-    freedom: FloatArray | None = None,
+    value: FloatArray, variance: FloatArray, judged_from: int, freedom: FloatArray | None = None
 ) -> Checks:
-    """Chart the checks of a rig by its check standard: the mean is of the checks that passed.
+    """Chart the checks of a rig (`RIG_CHART`) by its check standard: the mean is of the checks that passed.
 
     A failed check never moves the mean. A rig that failed passes again with the first check within
     `PUT_RIGHT` standard deviations of the mean, and the average restarts there. A shift before
@@ -162,20 +158,19 @@ def checks(
         value: (n,) of the check unit on the rig, in the order measured.
         variance: (n,) of each, known.
         judged_from: place of the first run that is a check; those before it are its history.
-        ewma: the chart.
         freedom: (n,) degrees of freedom that the variances rest on; None where they are known.
     """
     n = len(value)
     q, average = np.zeros(n), np.zeros(n)
     failed, known = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     weight, mean, z, failing = 0.0, 0.0, 0.0, False
-    limits, since, held = ewma.limits(n), 0, np.full(n, np.inf)
+    limits, since, held = RIG_CHART.limits(n), 0, np.full(n, np.inf)
     for i in range(n):
         if weight > 0.0:
             known[i] = True
             t = (value[i] - mean) / np.sqrt(variance[i] + 1.0 / weight)
             q[i] = normal_score(t, None if freedom is None else freedom[i])
-            z = ewma.weight * q[i] + (1.0 - ewma.weight) * z
+            z = RIG_CHART.weight * q[i] + (1.0 - RIG_CHART.weight) * z
             average[i], held[i] = z, limits[since]
             out = abs(q[i]) > PUT_RIGHT if failing else abs(z) > limits[since]
             since += 1

@@ -134,9 +134,9 @@ class NoiseModel:
     rotation: FloatArray
     rho: FloatArray
 
-    def whiten(self, x: FloatArray, starts: BoolArray, share: float = 1.0) -> FloatArray:
-        """Return innovations of x (…, n, J) in the rotated channels, with `share` of rho undone."""
-        return np.moveaxis(self.innovations(self.rotated(x), starts, share), 0, -1)
+    def whiten(self, x: FloatArray, starts: BoolArray) -> FloatArray:
+        """Return innovations of x (…, n, J) in the rotated channels."""
+        return np.moveaxis(self.innovations(self.rotated(x), starts), 0, -1)
 
     def floor(self, rounding: FloatArray) -> FloatArray:
         """Return (J,) variance in each rotated channel of errors of rounding (J,) in the responses.
@@ -163,7 +163,7 @@ class NoiseModel:
         white[..., starts] = rotated[..., starts]
         return white
 
-    def unwhitened(self, white: Real, starts: BoolArray, share: float = 1.0) -> Real:
+    def unwhitened(self, white: Real, starts: BoolArray, share: float) -> Real:
         """Return (J, …, n) the transpose of `innovations`: x·unwhitened(y) is innovations(x)·y."""
         rho = (self.rho * share).astype(white.dtype).reshape(-1, *(1,) * (white.ndim - 1))
         gain = np.where(_follows(starts), 1.0 / np.sqrt(1.0 - rho**2), 0.0).astype(white.dtype)
@@ -373,9 +373,9 @@ def _innovations(
     return rotated.reshape(len(rotated), -1, rotated.shape[3])
 
 
-def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: float = 1.0) -> FloatArray:
+def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray) -> FloatArray:
     """Return whitened columns (n, J, p) as one matrix (n·J, p)."""
-    white = noise.whiten(np.moveaxis(columns, 2, 0), starts, share)
+    white = noise.whiten(np.moveaxis(columns, 2, 0), starts)
     return white.reshape(len(white), -1).T
 
 
@@ -460,19 +460,14 @@ def varied_between_parts(r: Responses, columns: FloatArray, fitted: Fit) -> Floa
     return np.where(several & (chance < PARTS_DISAGREE), ratio, 1.0)
 
 
-def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased: bool = False) -> NoiseModel:
-    """Return the noise model of residuals.
+def noise_of(residuals: FloatArray, r: Responses, parameters: float) -> NoiseModel:
+    """Return the noise model of residuals (n, J) of a fit that took so many parameters per channel.
 
-    Args:
-        residuals: (n, J) of a fit.
-        r: the responses; where their runs start, and what rounding leaves of them.
-        parameters: how many the fit took per channel.
-        unbiased: add what fitting takes off the correlation, about (1 + p + 4ρ)/n (Kendall, 1954), as a
-            bootstrap that is to behave like the noise needs it.
+    What fitting takes off the correlation, about (1 + p + 4ρ)/n (Kendall, 1954), is added: a bootstrap that
+    is to behave like the noise needs it.
     """
     (rotation,), (rho,) = lagged_products(residuals[None], r.starts, r.rounding).noises(parameters)
-    if unbiased:
-        rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / len(residuals)
+    rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / len(residuals)
     return NoiseModel(rotation, np.clip(rho, SMALLEST_RHO, LARGEST_RHO))
 
 
