@@ -202,11 +202,7 @@ class _Model:
 
     def __init__(self, r: Responses, accepted: tuple[Candidate, ...]) -> None:
         at = self.at = fitted_model(r, accepted)
-
-        def columns_with(more: Sequence[Candidate]) -> FloatArray:
-            return model_columns(at.responses, [*at.accepted, *more])
-
-        self.fits = CandidateFits(at.responses, columns_with)
+        self.fits = CandidateFits(at.responses, at.columns_with)
         self.beside: dict[Candidate, _BesideModel] = {}
         self.refined: dict[Candidate, Refined] = {}
 

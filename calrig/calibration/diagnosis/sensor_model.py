@@ -218,6 +218,10 @@ class Model:
     fitted: Fit
     is_bent: bool = False
 
+    def columns_with(self, more: Sequence[Candidate]) -> FloatArray:
+        """Return (n, J, p) its columns with some candidates beside it."""
+        return model_columns(self.responses, [*self.accepted, *more])
+
 
 def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
     """Fit bias, scale and effects, those on the sensor's axes through atan2.
@@ -397,7 +401,6 @@ class Curve:
         return error_y, error_z
 
     def _error_of(self, member: Candidate, own: FloatArray, felt_deg: FloatArray) -> VectorError:
-        """Return what one effect adds, by its own coefficients."""
         changed = member.changed
         # of what ended the coefficients are those of the runs before, less
         signed = -own if changed is not None and changed.ended else own
