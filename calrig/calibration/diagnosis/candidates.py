@@ -419,8 +419,6 @@ def documented_forms(
 
 
 def _nearest(shapes: Sequence[Shape], wanted: Parameters) -> list[Shape]:
-    """Those whose places lie nearest to the wanted ones."""
-
     def distance(shape: Shape) -> float:
         given = ((value, wanted.get(name)) for name, value in shape.at.items() if name not in HIDDEN)
         return math.fsum(abs(value - aim) for value, aim in given if aim is not None)

@@ -194,7 +194,6 @@ class _Trial:
 
     @property
     def covariates(self) -> set[str]:
-        """What those suspects follow."""
         return {suspect.covariate for suspect in self.separable()}
 
     def separable(self) -> list[Candidate]:

@@ -41,10 +41,7 @@ STEP = 1e-3
 class NonlinearTerms:
     """The responses beside what is linear in them, of all coefficients (p,).
 
-    Args:
-        r: the responses.
-        members: the effects of a model.
-        own: where the coefficients of each lie among all.
+    `own` is where the coefficients of each member lie among all.
     """
 
     def __init__(self, r: Responses, members: Sequence[Candidate], own: Sequence[slice]) -> None:
@@ -81,11 +78,7 @@ DELAY_STEP = 1e-5
 class Delay:
     """What a delay adds to the responses, of all coefficients (p,): all that follows the elevation is late.
 
-    Args:
-        r: the responses.
-        members: the effects of a model.
-        own: where the coefficients of each lie among all.
-        names: of the base's columns.
+    `own` is where the coefficients of each member lie among all; `names` are of the base's columns.
     """
 
     def __init__(

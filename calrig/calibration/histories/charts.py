@@ -209,7 +209,6 @@ class Forecast:
 
     Attributes:
         due_day: days since the first run, of the last one or later; None where the forecast does not tell.
-        why: in words.
         fits: whether the history lies on a line as well as its variances say (χ², 99 %).
     """
 

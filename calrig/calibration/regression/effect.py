@@ -294,7 +294,6 @@ class Effect:
 
     Attributes:
         name, origin, covariate: as CONTRACT section 5 has them.
-        title: for a heading.
         scope: what it stays with: the unit (applied in flight), the rig (its error map), or one run alone.
         parameters: those of its documents, in their order.
         formula: what is added to the reading, as text.

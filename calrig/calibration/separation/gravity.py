@@ -197,11 +197,9 @@ class Gravity:
         excluded: those that do not.
         base: bias and scale alone.
         final: with the effects that were found.
-        found: those effects.
         held_out: how the held-out errors were measured, in words.
         base_held_out_g: (n,) error of each pose by a fit without it.
         final_held_out_g: (n,) the same with effects.
-        warnings: sentences.
     """
 
     poses: StaticPoses
@@ -376,7 +374,6 @@ def _refuse_what_determines_nothing(poses: StaticPoses) -> None:
 
 
 def _undetermined(problem: Problem, base: GravityFit) -> list[str]:
-    """Return sentences on what these poses cannot show."""
     pairs = problem.undetermined_pairs
     said = []
     if pairs:

@@ -236,11 +236,7 @@ LEAST_SQUARES = 1e-300
 
 
 def correlation_of(fit: Fit) -> float:
-    """Lag-1 correlation of the poses' noise, none where nothing tells in which order they were measured.
-
-    Args:
-        fit: of all parameters, to poses taken as uncorrelated.
-    """
+    """Lag-1 correlation of the noise of poses fitted as uncorrelated; none if nothing tells their order."""
     from scipy.optimize import minimize_scalar
 
     if not fit.problem.table.in_order:

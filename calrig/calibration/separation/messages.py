@@ -59,11 +59,7 @@ CLOCK_ERRORS = 3.0
 def messages_of(
     solution: Solution, on_stage: Mapped, gyros: Sequence[WholeGyro | None], frame: Frame
 ) -> list[str]:
-    """Return the messages on a solution, the most important first.
-
-    `on_stage` are map and mounts of the solution, `frame` is what the accelerometers' matrices were asked for
-    in.
-    """
+    """Return the messages on a solution, the most important first."""
     units = range(len(solution.table.units))
     if solution.table.is_whole:
         found = _of_linear(solution)

@@ -74,10 +74,7 @@ class MountedPoses:
         axis: str,
         planned_deg: Sequence[float],
     ) -> list[MountedPoses]:
-        """Return the poses of a run, by mounting: at the angle of each pose, else at the only one planned.
-
-        `name` is the run's in labels, `planned_deg` are the mounting angles of its plan.
-        """
+        """Return the poses of a run, by mounting: at the angle of each pose, else at the only one planned."""
         lots: dict[float | None, list[Pose]] = {}
         for pose in poses:
             own = pose.covariates.get(MOUNT_DEG)
