@@ -135,7 +135,7 @@ def changes(figures: tuple[Runs, ...], known: tuple[Repeatability | None, ...] |
             apart |= _standing_out(runs, first, second)
     pooled = known or tuple(repeatability(runs, second[apart]) for runs in figures)
     found = tuple(differences(*both) for both in zip(figures, pooled, strict=True))
-    p_value = _least(np.array([one.p_value for one in found]), axis=0)
+    p_value = _least(np.array([one.p_value for one in found]))
     unit = figures[0].unit[first] if len(first) else np.empty(0, dtype=np.intp)
     of_units = _by_unit(p_value, unit, int(figures[0].unit.max(initial=-1)) + 1)
     level = rejection_level(of_units[np.isfinite(of_units)])
@@ -153,12 +153,12 @@ def _standing_out(runs: Runs, first: IntArray, second: IntArray) -> BoolArray:
     return out
 
 
-def _least(p_value: FloatArray, axis: int) -> FloatArray:
-    """Bonferroni over the known ones along an axis; NaN where there is none."""
+def _least(p_value: FloatArray) -> FloatArray:
+    """Bonferroni over the known ones along the first axis; NaN where there is none."""
     known = np.isfinite(p_value)
-    least = np.where(known, p_value, np.inf).min(axis=axis)
-    tests = np.maximum(known.sum(axis=axis), 1)
-    return np.where(known.any(axis=axis), np.minimum(least * tests, 1.0), np.nan)
+    least = np.where(known, p_value, np.inf).min(axis=0)
+    tests = np.maximum(known.sum(axis=0), 1)
+    return np.where(known.any(axis=0), np.minimum(least * tests, 1.0), np.nan)
 
 
 def _by_unit(p_value: FloatArray, unit: IntArray, units: int) -> FloatArray:
