@@ -9,7 +9,7 @@ import numpy as np
 
 from calrig.analysis.errors import Unknown
 from calrig.analysis.histories import FIGURES, Histories, histories
-from calrig.calibration.histories import RIG_CHART, Checks, checks
+from calrig.calibration.histories import Checks, checks
 from calrig.model.run import Suspect
 from calrig.store import CheckUnit, ComparisonRow, Run, Store
 from calrig.store.records import Document
@@ -104,7 +104,7 @@ def _checked(found: Histories, named: CheckUnit) -> _Checked:
         value = runs.value[places]
         if variance is None or freedom is None or not np.isfinite(value).all():
             continue
-        one = checks(value, variance[places], begins, RIG_CHART, freedom[places])
+        one = checks(value, variance[places], begins, freedom[places])
         judged.append(one)
         failed |= one.failed
         known |= one.known

@@ -380,8 +380,8 @@ def _since(value: FloatArray, variance: FloatArray, since: int, freedom: FloatAr
     known = known[known >= since]
     chart = control_chart(value[known], variance[known], UNIT_CHART, freedom[known])
     n = len(value)
-    whole = ControlChart(np.zeros(n), np.zeros(n), np.full(n, np.inf), np.zeros(n, dtype=bool))
-    for name in ("q", "average", "limit", "signals"):
+    whole = ControlChart(np.zeros(n), np.full(n, np.inf), np.zeros(n, dtype=bool))
+    for name in ("average", "limit", "signals"):
         getattr(whole, name)[known] = getattr(chart, name)
     return whole
 

@@ -170,10 +170,7 @@ class Lines:
 def lines_of(poses: PackedPoses, theta_deg: FloatArray, rows: Intp) -> Lines:
     """The lines of runs by least squares.
 
-    Args:
-        poses: packed.
-        theta_deg: (N,) their elevations.
-        rows: (R, n) the poses of each run.
+    `theta_deg` (N,) are the elevations of the packed poses, `rows` (R, n) the poses of each run.
     """
     theta = theta_deg[rows]
     given = {name: column[rows] for name, column in poses.columns.items()}
@@ -488,11 +485,7 @@ OF_RUNS = tuple(field.name for field in fields(Screened) if field.name != "resid
 
 
 def screen(poses: PackedPoses) -> Screened:
-    """Screens runs, all that have as many poses together.
-
-    Args:
-        poses: of the runs; the order of a run's poses is that in which they were measured.
-    """
+    """Screens runs, all that have as many poses together; each run's poses are in the order measured."""
     found = {name: np.full(len(poses), np.nan) for name in OF_RUNS}
     residual_deg = np.full(int(poses.first[-1]), np.nan)
     theta_deg = poses.theta_deg

@@ -55,9 +55,7 @@ class GravityEffect:
 
     Attributes:
         name: where it is one of the catalogue of elevation, the same cause with a parameter for each axis.
-        title: for a heading.
-        origin: as CONTRACT section 5 has them.
-        covariate: as CONTRACT section 5 has them.
+        origin, covariate: as CONTRACT section 5 has them.
         columns: (n, 3, 3) what the three parameters add to `true`, (pose, axis, parameter); None where the
             log has no covariate for it. Without unit, of order 1.
         parameters: their names, in the contract's units.

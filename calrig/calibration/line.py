@@ -61,8 +61,7 @@ class Line:
         bias_deg: reading at θ = 0; with all poses at one angle, mean of reading − θ; in (−180, 180] unless
             readings go beyond half a turn and are on one turn with it.
         scale: None with all poses at one angle; counts as 1 then.
-        bias_std_deg: standard error of the bias; noise may be correlated from pose to pose, here and below.
-        scale_std: standard error of the scale.
+        bias_std_deg, scale_std: standard errors; noise may be correlated from pose to pose, here and below.
         covariance: of bias (deg) and scale; None without a scale or without degrees of freedom.
         residual_std_deg: standard deviation of a reading about the true line.
         effect_parameters: of effects, fitted to the same poses in addition; each takes a degree of freedom.

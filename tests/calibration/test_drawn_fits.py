@@ -28,8 +28,9 @@ def step_by_step(
         design, target = (stacked(noise, r.starts, x) for x in (columns, values[:, :, None]))
         beta = np.linalg.lstsq(design, target[:, 0], rcond=None)[0]
         residuals = values - columns @ beta
-        noise = noise_of(residuals, r, taken)
-    products = lagged_products(residuals[None], r.starts, r.rounding)
+        products = lagged_products(residuals[None], r.starts, r.rounding)
+        (rotation,), (rho,) = products.noises(taken)
+        noise = NoiseModel(rotation, rho)
     return float(products.criterion(noise.rotation[None], noise.rho[None])[0]), beta
 
 

@@ -50,7 +50,7 @@ def test_the_coefficients_are_those_of_generalised_least_squares() -> None:
     r = runs_of_correlated_noise()
     columns, y = r.base[:, 0, :], r.values[:, 0]
     fitted = fit(r, r.base)
-    (rho,) = noise_of(fitted.residuals, r, columns.shape[1]).rho
+    (rho,) = fitted.noise.rho
     correlation = block_diag(*(rho ** np.abs(np.subtract.outer(range(n), range(n))) for n in LENGTHS))
     whitened = np.linalg.solve(correlation, columns)
     beta = np.linalg.solve(columns.T @ whitened, whitened.T @ y)
@@ -70,7 +70,7 @@ def test_a_correlation_for_a_bootstrap_is_unbiased_in_short_runs() -> None:
     innovations = np.random.default_rng(2).standard_normal((1000, 240))
     series = lfilter([1.0], [1.0, -RHO], innovations)[:, 200:]
     series = series - series.mean(axis=1, keepdims=True)
-    found = [noise_of(one[:, None], r, 1.0, unbiased=True).rho[0] for one in series]
+    found = [noise_of(one[:, None], r, 1.0).rho[0] for one in series]
     assert np.mean(found) == pytest.approx(RHO, abs=0.02)
 
 

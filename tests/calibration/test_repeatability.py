@@ -59,20 +59,20 @@ def test_a_difference_scatters_as_stated_over_pairs_of_runs_drawn(days, rigs, st
 
 
 def test_the_level_of_the_paper_rejects_the_papers_four():
-    level = rejection_level(np.array(BENJAMINI_HOCHBERG), 0.05)
+    level = rejection_level(np.array(BENJAMINI_HOCHBERG))
     assert sum(p <= level for p in BENJAMINI_HOCHBERG) == 4
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_rejected_is_what_scipy_rejects(seed):
     p_value = np.random.default_rng(seed).uniform(size=60) ** 3
-    level = rejection_level(p_value, 0.05)
+    level = rejection_level(p_value)
     assert (p_value <= level).tolist() == (false_discovery_control(p_value) <= 0.05).tolist()
 
 
 def test_nothing_is_rejected_of_nothing():
-    assert rejection_level(np.empty(0), 0.05) == 0.0
-    assert rejection_level(np.array([0.9, 0.2]), 0.05) == 0.0
+    assert rejection_level(np.empty(0)) == 0.0
+    assert rejection_level(np.array([0.9, 0.2])) == 0.0
 
 
 def test_one_unit_that_moved_stands_out_and_spoils_nothing():

@@ -45,7 +45,7 @@ def test_errors_are_widened_by_what_refits_of_correlated_noise_scatter_more_than
     times_s = 4.0 * np.arange(20)
     r = responses_of([posed(target_deg=theta_deg, reading_deg=theta_deg + noise_deg, time_s=times_s)])
     fitted = fit(r, r.base)
-    noise = noise_of(fitted.residuals, r, r.base.shape[2], unbiased=True)
+    noise = noise_of(fitted.residuals, r, r.base.shape[2])
     size_deg, rho = 1.0 / noise.rotation[0, 0], noise.rho[0]
     innovations = size_deg * math.sqrt(1.0 - rho**2) * rng.standard_normal((1000, 400))
     drawn_deg = lfilter([1.0], [1.0, -rho], innovations)[:, -20:, None]

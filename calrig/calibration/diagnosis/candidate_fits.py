@@ -59,10 +59,7 @@ def fit_candidates(
 ) -> FitsBeside:
     """Fit a model with each candidate added to it.
 
-    Args:
-        r: the responses.
-        columns_with: (n, J, p) columns of the model with some candidates beside it.
-        candidates: those.
+    `columns_with` gives the (n, J, p) columns of the model with some candidates beside it.
     """
     return CandidateFits(r, columns_with).of(candidates, [c.columns for c in candidates])
 
@@ -70,9 +67,7 @@ def fit_candidates(
 class CandidateFits:
     """Fits of candidates in addition to one model; what they have in common is made once.
 
-    Args:
-        r: the responses.
-        columns_with: (n, J, p) columns of the model with some candidates beside it.
+    `columns_with` gives the (n, J, p) columns of the model with some candidates beside it.
     """
 
     def __init__(self, r: Responses, columns_with: Callable[[Sequence[Candidate]], FloatArray]) -> None:
@@ -82,12 +77,10 @@ class CandidateFits:
     def of(
         self, candidates: Sequence[Candidate], own: Sequence[FloatArray], *, with_variance: bool = False
     ) -> FitsBeside:
-        """Fit the model with each of k candidates.
+        """Fit the model with each of k candidates, which say what column of the base they replace.
 
-        Args:
-            candidates: they say which column of the base they replace.
-            own: (n, J, w) columns of each: the candidate's, or more.
-            with_variance: whether the variance of the last coefficient is wanted.
+        `own` are (n, J, w) columns of each: the candidate's, or more. `with_variance` asks for the variance
+        of the last coefficient.
         """
         count = len(candidates)
         residuals = np.empty((count, *self._r.values.shape))
@@ -209,11 +202,7 @@ class _Model:
 
     def __init__(self, r: Responses, accepted: tuple[Candidate, ...]) -> None:
         at = self.at = fitted_model(r, accepted)
-
-        def columns_with(more: Sequence[Candidate]) -> FloatArray:
-            return model_columns(at.responses, [*at.accepted, *more])
-
-        self.fits = CandidateFits(at.responses, columns_with)
+        self.fits = CandidateFits(at.responses, at.columns_with)
         self.beside: dict[Candidate, _BesideModel] = {}
         self.refined: dict[Candidate, Refined] = {}
 

@@ -346,15 +346,10 @@ def _several_changes(shown: Sequence[Candidate], changes: int) -> list[Candidate
 
 
 def rebuilt(candidate: Candidate, r: Responses, form: str | None = None) -> Candidate | None:
-    """Return the same form of the same effect in other poses; None where they cannot show it.
+    """Return the same effect in the same form, or another `form`, in other poses; None if they lack it.
 
     What was one with another thing in its own poses may have further parameters in others, and what stood
     alone there may be a part of the whole: `coefficients_in` says what its coefficients are in them.
-
-    Args:
-        candidate: as it was found, elsewhere.
-        r: the poses to rebuild it in.
-        form: another form of it.
     """
     beside = None if candidate.beside is None else rebuilt(candidate.beside, r)
     if candidate.beside is not None and beside is None:
@@ -424,8 +419,6 @@ def documented_forms(
 
 
 def _nearest(shapes: Sequence[Shape], wanted: Parameters) -> list[Shape]:
-    """Those whose places lie nearest to the wanted ones."""
-
     def distance(shape: Shape) -> float:
         given = ((value, wanted.get(name)) for name, value in shape.at.items() if name not in HIDDEN)
         return math.fsum(abs(value - aim) for value, aim in given if aim is not None)

@@ -29,11 +29,8 @@ BATCH = 32
 class DrawnFits:
     """A model's criterion in responses drawn from a noise, alone and beside each of some candidates.
 
-    Args:
-        r: the responses, for what their poses have in common.
-        columns_with: (n, J, p) columns of the model with some candidates beside it.
-        candidates: those that may be.
-        noise: that the responses are drawn from.
+    `r` has what the poses of all responses have in common; `columns_with` gives the (n, J, p) columns of the
+    model with some candidates beside it.
     """
 
     def __init__(
@@ -115,11 +112,8 @@ class _Model:
     ) -> tuple[FloatArray, FloatArray]:
         """Return (m,) criterion and (m, w) coefficients of one candidate each, all of one width.
 
-        Args:
-            values: (b, n, J) responses.
-            drawn: (m,) which of them.
-            kinds: (m,) which of the candidates, by their keys.
-            candidates: those.
+        Of the responses `values` (b, n, J), `drawn` (m,) are fitted, each with the candidate of its key in
+        `kinds` (m,).
         """
         new = [k for k in candidates if k not in self._made]
         if new:

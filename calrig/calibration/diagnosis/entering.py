@@ -79,13 +79,8 @@ def forward_step(
     Of two the second must pass the significance test with the first in the model. Of a series, such as the
     orders of a turn, or of several changes between runs only the needed terms enter.
 
-    Args:
-        r: the responses.
-        accepted: the effects in the model.
-        best: the best candidate.
-        verdict: of the test that it passed.
-        judged: tests the candidates in addition to a model.
-        rivals: in a fold, the competing candidates of all poses; no other pairs are tried.
+    `verdict` is of the test that `best` passed; `judged` tests the candidates in addition to a model. In a
+    fold, `rivals` are the competing candidates of all poses: no other pairs are tried.
     """
     if best.candidate.beside is None and not _leaves_rounding(r, [*accepted, best.candidate]):
         shown = [k for k, c in enumerate(verdict.candidates) if rivals is None or c.label in rivals.labels]

@@ -34,9 +34,7 @@ def established(findings: Findings, *, draws: bool) -> Findings:
     Of two effects that are uncertain only beside each other one stays, and is ambiguous with the other. Where
     neither explains what both explain together, both stay.
 
-    Args:
-        findings: of a search.
-        draws: whether standard errors are widened by refits of noise, as in a document.
+    With `draws`, standard errors are widened by refits of noise, as in a document.
     """
     r, found = findings.responses, list(findings.found)
     staying: set[Candidate] = set()

@@ -108,12 +108,8 @@ def design(
     left of A's effect, at the size found, when base and B are fitted to it, in units of the noise
     (T-optimality: Atkinson & Fedorov, Biometrika 62, 1975).
 
-    Args:
-        runs: the poses so far.
-        findings: of the diagnosis.
-        limits_deg: soft limits of elevation.
-        seed: of the grid's jitter.
-        progress: is called with the share of the poses that have been chosen.
+    `limits_deg` are soft limits of elevation, `seed` is of the grid's jitter, and `progress` is called with
+    the share of the poses that have been chosen.
     """
     found = ambiguous_of(findings)
     if found is None:
@@ -198,7 +194,6 @@ class _Trial:
 
     @property
     def covariates(self) -> set[str]:
-        """What those suspects follow."""
         return {suspect.covariate for suspect in self.separable()}
 
     def separable(self) -> list[Candidate]:

@@ -30,10 +30,7 @@ LEAST_GAIN = 0.01
 def with_families(r: Responses, found: list[SelectedEffect], known: int = 0) -> list[SelectedEffect]:
     """Tie what may be a harmonic of another wave to it, and refine them together, where the model improves.
 
-    Args:
-        r: the responses.
-        found: the effects of a model.
-        known: how many of the first were found in another base, and stay.
+    The first `known` effects were found in another base, and stay.
     """
     found = with_free_orphans(r, found)
     for k in range(known, len(found)):
@@ -47,12 +44,7 @@ def with_families(r: Responses, found: list[SelectedEffect], known: int = 0) -> 
 
 
 def with_free_orphans(r: Responses, found: list[SelectedEffect]) -> list[SelectedEffect]:
-    """Give each harmonic whose first wave has left the model a period of its own.
-
-    Args:
-        r: the responses.
-        found: the effects of a model.
-    """
+    """Give each harmonic whose first wave has left the model a period of its own."""
     for k, f in enumerate(found):
         one, others = f.candidate, candidates_in(other for other in found if other is not f)
         has_first = one.shape.at.get(OF) in (None, *r.known_periods_deg)
@@ -66,10 +58,7 @@ def with_free_orphans(r: Responses, found: list[SelectedEffect]) -> list[Selecte
 def place_slope(model: Model, own: Sequence[slice], k: int) -> FloatArray:
     """Return (n, J, 1) change of the responses with the place of the k-th effect, on which its terms depend.
 
-    Args:
-        model: with its fit.
-        own: the columns of each accepted effect.
-        k: which of them.
+    `own` are the columns of each accepted effect.
     """
     first = model.accepted[k]
     name, change = first.effect.place, slope(model.responses, first, model.fitted.beta[own[k]])

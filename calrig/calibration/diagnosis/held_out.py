@@ -87,13 +87,9 @@ def cross_validate(
 ) -> CrossValidation:
     """Predict every pose once, by a search and a fit over the other folds; base on the same folds.
 
-    Args:
-        r: the responses.
-        candidates: of these poses.
-        rng: of the bootstrap.
-        rivals: competing candidates of a search of all poses, compared again in each fold.
-        noises: what noise gained in that search: likelihood ratios, which know no pose's reading.
-        progress: is called with the share of folds done before each.
+    `rivals` and `noises` are of a search of all poses: its competing candidates are compared again in each
+    fold, and what noise gained are likelihood ratios, which know no pose's reading. `progress` is called with
+    the share of folds done before each.
     """
     fold = folds_of(r)
     base = _errors(r, (), BETWEEN)
@@ -229,12 +225,8 @@ def errors_deg(
 ) -> FloatArray:
     """Return (m,) reading less prediction of some poses, in degrees of elevation.
 
-    Args:
-        r: all poses.
-        accepted: the effects in the model, in all poses.
-        beta: (p,) as fitted elsewhere.
-        test: (m,) the poses to predict.
-        slopes: (n,) of all poses (`slopes_of_errors`).
+    `beta` (p,) was fitted elsewhere; `test` (m,) are the poses to predict; `slopes` (n,) are of all poses
+    (`slopes_of_errors`).
     """
     columns = model_columns(r, accepted)[test, 0, :]
     return np.asarray((r.values[test, 0] - columns @ beta) / slopes[test], dtype=np.float64)
@@ -269,11 +261,8 @@ def confirm(
 ) -> Confirmation | None:
     """Fit base and final model to all poses but the confirming ones and predict those.
 
-    Args:
-        runs: the earlier runs.
-        fresh: the poses of the new run.
-        deciding: indices of those that served to decide, and fix the new run's bias.
-        findings: of the diagnosis of `runs` with the deciding poses.
+    `findings` are of the diagnosis of `runs` with the poses of the `fresh` run that served to decide, at the
+    indices `deciding`: these fix its bias.
 
     Returns:
         None where no pose is left to confirm with, or an effect cannot show in these poses.
@@ -350,11 +339,7 @@ def not_predictive(
     stated of it, is not as certain as one that enters: it differs from part to part of the run. Nor is
     one that the other curves of a part of the turn contain.
 
-    Args:
-        r: the poses.
-        found: all effects of the model.
-        whole: the fit of them all.
-        offered: candidates of these poses; a shape without a name among them becomes the rival.
+    The rival of a name is then a shape without a name among those `offered`.
     """
     if not found:
         return ()
@@ -523,12 +508,7 @@ def _nameless(claimed: Candidate, offered: Sequence[Candidate]) -> Candidate | N
 
 
 def standing_without_one(r: Responses, found: Sequence[SelectedEffect]) -> tuple[SelectedEffect, ...]:
-    """Return the same effects; a name that one pose alone tells from a runner-up becomes ambiguous with it.
-
-    Args:
-        r: the poses they were found in.
-        found: all effects of the model.
-    """
+    """Return the same effects; a name that one pose alone tells from a runner-up is ambiguous with it."""
     return tuple(
         _doubted(r, one, [f.candidate for f in found if f is not one]) if one.verdict == "named" else one
         for one in found

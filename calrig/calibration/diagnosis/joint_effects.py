@@ -60,7 +60,6 @@ class RunOfEffects:
     """A run as effects are fitted to it.
 
     Attributes:
-        run_id: for messages.
         poses: those that count, in the order measured.
         others: effects that its diagnosis has and that are not among the unit's (backlash, a drift): they are
             fitted in this run alone, so that the unit's do not take them up.

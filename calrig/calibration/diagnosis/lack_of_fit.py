@@ -218,11 +218,7 @@ def _together(dwell: Spread, revisits: Spread) -> Spread:
 def warning_of(lack: LackOfFit, *, found: bool, temperature: bool, in_order: bool = True) -> str | None:
     """How large and how slow the rest is, and which experiment would show it; None where nothing lacks.
 
-    Args:
-        lack: of the final model.
-        found: whether an effect is in it.
-        temperature: whether the poses have one.
-        in_order: whether the rows are in the order of time; else neighbours are those of a sorted table.
+    Unless the rows are `in_order` of time, neighbours are those of a sorted table.
     """
     those = "the effects" if found else "bias and scale"
     if lack.pure is None and lack.is_slow:

@@ -96,11 +96,7 @@ def beyond(r: Responses, accepted: Sequence[Candidate], residual_deg: FloatArray
 def outliers(r: Responses, accepted: Sequence[Candidate], most: int, gain_to_beat: float = 0.0) -> Intp:
     """Return the poses, in ascending order, that are best explained as outliers; none is empty.
 
-    Args:
-        r: the responses.
-        accepted: the effects in the model.
-        most: how many may be left out.
-        gain_to_beat: of the best effect that could enter instead, in −2 log likelihood with penalties.
+    `gain_to_beat` is that of the best effect that could enter instead, in −2 log likelihood with penalties.
     """
     none = np.empty(0, dtype=np.intp)
     if most < 1:
@@ -153,9 +149,7 @@ def _are_far(r: Responses, columns: FloatArray, those: Intp) -> bool:
 def briefly_apart(r: Responses, residual_deg: FloatArray) -> Intp:
     """Return the poses that are far from those before and after them, which agree, and at this angle only.
 
-    Args:
-        r: the poses.
-        residual_deg: (n,) of their readings.
+    `residual_deg` (n,) are of their readings.
     """
     order, passes = _passes(r)
     apart_deg, beside_deg = np.full((2, len(r)), np.nan)

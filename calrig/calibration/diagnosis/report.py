@@ -85,14 +85,8 @@ def covariance_of(
     Errors are wider by as much as another weighting moves the coefficients (`moved_unweighted`), with `draws`
     as large as refits of noise scatter, and with `parts` by as much as parts of the run disagree.
 
-    Args:
-        r: the responses.
-        columns: (n, J, p) of the fit.
-        fitted: the fit.
-        seed: of the draws.
-        curves: columns of one effect, whose coefficients are certain in combination: one factor for all.
-        draws: whether noise is drawn and fitted again.
-        parts: whether coefficients that differ between parts count as less certain (`varied_between_parts`).
+    `columns` are (n, J, p). The coefficients of one effect's `curves` are certain in combination: one factor
+    for all.
     """
 
     def alike(ratio: FloatArray) -> FloatArray:
@@ -109,7 +103,7 @@ def covariance_of(
         varied = alike(varied_between_parts(r, columns, fitted))
     if draws:
         taken = max(1.0, columns.shape[2] / len(r.channels))
-        noise = noise_of(fitted.residuals, r, taken, unbiased=True)
+        noise = noise_of(fitted.residuals, r, taken)
         drawn = np.random.default_rng(seed).standard_normal((DRAWS, *fitted.residuals.shape))
         again = fits(r, noise.colour(drawn, r.starts) * r.known, columns[None])
         stated = np.einsum("bpp->p", again.covariance) / DRAWS
@@ -186,9 +180,7 @@ def _sizes_together(
 def explained_shares(r: Responses, effects_deg: Sequence[FloatArray]) -> list[float | None]:
     """Return the share of the mean square residual of bias and scale that each effect explains.
 
-    Args:
-        r: the responses.
-        effects_deg: (n,) what each effect adds to the readings, from one fit of all of them.
+    `effects_deg` are (n,) what each effect adds to the readings, from one fit of all of them.
 
     Returns:
         As the module's docstring defines it; None if bias and scale leave nothing.
@@ -202,12 +194,7 @@ def explained_shares(r: Responses, effects_deg: Sequence[FloatArray]) -> list[fl
 def covariance_with_places(model: Model, *, draws: bool = True, parts: bool = True) -> FloatArray:
     """Return (p, p) covariance of a model's coefficients, the places that were refined among the unknowns.
 
-    An order of the turn is known.
-
-    Args:
-        model: with its fit.
-        draws: as `covariance_of` has it.
-        parts: likewise.
+    An order of the turn is known. `draws` and `parts` are as `covariance_of` has them.
     """
     own = own_columns(model.columns, model.accepted)
     slopes = [place_slope(model, own, k) for k, one in enumerate(model.accepted) if _is_refined(one)]
@@ -584,11 +571,8 @@ def has_size(
 ) -> bool:
     """Return whether one of the sizes that a document states reaches two standard errors.
 
-    Args:
-        candidate: an effect of a model.
-        beta: (p,) its own coefficients.
-        covariance: (p, p) of them.
-        together: whether several sizes are judged elsewhere, all at once.
+    `beta` (p,) and `covariance` (p, p) are the candidate's own. With `together`, several sizes are judged
+    elsewhere, all at once.
     """
     stated = candidate.effect.reported(candidate.shape, beta, covariance)
     sizes = [size for name, size in stated.items() if size is not None and name not in NO_SIZES]

@@ -70,12 +70,6 @@ def competing_candidates(
 
     All other selected effects are among them, singly and in pairs: until those enter, the effect may stand in
     for them. A fold reconsiders an entered effect only against these.
-
-    Args:
-        r: the poses.
-        candidates: of these poses.
-        found: the effects of the final model.
-        beside_curve: whether they were searched for first beside a free curve.
     """
     labels = [f.candidate.label for f in found]
     every = {*labels, *(" + ".join(two) for two in permutations(labels, 2))}
@@ -231,15 +225,9 @@ def reselected(
     An effect may bring a companion, but none that was scanned for at many instants: it would enter untested.
     Without `thorough` an effect that leads far on the screen only moves to its best place.
 
-    Args:
-        r: the responses.
-        candidates: of these poses.
-        found: the effects of the model.
-        known: how many of the first were found in another base, and stay.
-        rivals: competing candidates, where they are known; else all candidates compete.
-        fresh: an effect that was just compared with the same others in the model.
-        curves: whether curves may replace the terms of a series, as orders are; only these are compared then.
-        thorough: whether rivals, leads and places that look alike are wanted of every effect.
+    The first `known` were found in another base, and stay. Without `rivals` all candidates compete. `fresh`
+    was just compared with the same others in the model. With `curves`, which may replace the terms of a
+    series, as orders are, only these are compared.
     """
     if len(found) == known + 1:
         return found
@@ -379,12 +367,7 @@ CANCELS = 3.0
 
 
 def is_admissible(r: Responses, accepted: Sequence[Candidate]) -> bool:
-    """Return whether effects can be true together: physically possible, and none cancels another.
-
-    Args:
-        r: the responses.
-        accepted: the effects of a model.
-    """
+    """Return whether effects can be true together: physically possible, and none cancels another."""
     if not _are_possible(r, accepted):
         return False
     if len(accepted) < 2:
@@ -401,11 +384,7 @@ def admitted(
 ) -> list[SelectedEffect] | None:
     """Return the effects of a model that can be true together: all, or all but one that others stand for.
 
-    Args:
-        r: the responses.
-        found: the effects before; None is returned where nothing admissible is better.
-        entered: with those that entered.
-        known: how many of the first were found in another base, and stay.
+    None where nothing admissible is better. The first `known` were found in another base, and stay.
     """
     if is_admissible(r, candidates_in(entered)):
         return entered
@@ -462,10 +441,8 @@ def eliminated(
     An effect is needed where the model without it is worse by more than log n a parameter. A dropped label is
     not offered again, so a search ends.
 
-    Args:
-        r: the responses.
-        found: the effects of a model; the last to enter has passed the significance test and stays.
-        known: how many of the first were found in another base, and stay.
+    The last to enter has passed the significance test and stays, and so do the first `known`, which were
+    found in another base.
     """
     kept, dropped = list(found), []
     while len(kept) > 1:

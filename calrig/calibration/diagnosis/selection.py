@@ -17,7 +17,6 @@ from calrig.calibration.diagnosis.candidates import (
     Candidate,
     companions_of,
     is_term_of,
-    model_columns,
     orders_beside,
     term_alike,
 )
@@ -84,8 +83,6 @@ class Findings:
     Attributes:
         responses: the poses without outliers.
         kept: (m,) their indices among the poses that were searched.
-        found: the selected effects.
-        fitted: the fit of all of them.
         columns: (m, J, p) of the model.
         least_p_value: the smallest that the bootstrap could have given.
         noises: null distributions drawn on the way, by model.
@@ -117,14 +114,9 @@ def search(
     In several runs, search first for effects within them, each run with a free bias, then for differences
     between the biases, at half the level each.
 
-    Args:
-        r: the responses.
-        candidates: of these poses (`candidates_of`).
-        rng: of the bootstrap.
-        bootstraps: how many draws a test.
-        decide_only: whether no p-value will be reported.
-        rivals: of each effect that a search of more poses selected, the labels that compete with it.
-        noises: null distributions drawn there.
+    A test has at most so many `bootstraps`; with `decide_only` no p-value will be reported. `rivals` and
+    `noises` are of a search of more poses: of each effect the labels that compete with it, and the null
+    distributions.
     """
     judge = partial(gate, rng=rng, bootstraps=bootstraps, decide_only=decide_only)
     if len(r.run_ids) < 2:
@@ -223,9 +215,8 @@ def _with_curves(
 
 
 def _noise_left_by(freer: Findings) -> NoiseModel:
-    """Return the noise of a model with a freer base."""
     of_each = max(1.0, freer.columns.shape[2] / len(freer.responses.channels))
-    return noise_of(freer.fitted.residuals, freer.responses, of_each, unbiased=True)
+    return noise_of(freer.fitted.residuals, freer.responses, of_each)
 
 
 def _criterion(findings: Findings) -> float:
@@ -253,10 +244,6 @@ class _Judge:
 
     def __call__(self, model: Model, earlier: Verdict | None = None) -> Verdict:
         """Judge all that may enter a model, or what has not been refused since an earlier verdict on it."""
-
-        def columns_with(more: Sequence[Candidate]) -> FloatArray:
-            return model_columns(model.responses, [*model.accepted, *more])
-
         seen, key = model.responses, model_of(model.responses, model.accepted)
         orders = orders_beside(seen, self.candidates, model.accepted)
         if any(c.label in self.refused for c in orders):  # fewer of them say no more
@@ -270,7 +257,7 @@ class _Judge:
             those = [c for c in those if not _is_of_poses_alone(c)]
         verdict = self.judge(
             seen,
-            columns_with,
+            model.columns_with,
             model.fitted,
             those,
             companions=companions_of(model.accepted) | {c.label for c in orders},

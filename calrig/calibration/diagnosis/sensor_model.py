@@ -41,10 +41,7 @@ STEP = 1e-3
 class NonlinearTerms:
     """The responses beside what is linear in them, of all coefficients (p,).
 
-    Args:
-        r: the responses.
-        members: the effects of a model.
-        own: where the coefficients of each lie among all.
+    `own` is where the coefficients of each member lie among all.
     """
 
     def __init__(self, r: Responses, members: Sequence[Candidate], own: Sequence[slice]) -> None:
@@ -81,11 +78,7 @@ DELAY_STEP = 1e-5
 class Delay:
     """What a delay adds to the responses, of all coefficients (p,): all that follows the elevation is late.
 
-    Args:
-        r: the responses.
-        members: the effects of a model.
-        own: where the coefficients of each lie among all.
-        names: of the base's columns.
+    `own` is where the coefficients of each member lie among all; `names` are of the base's columns.
     """
 
     def __init__(
@@ -218,13 +211,15 @@ class Model:
     fitted: Fit
     is_bent: bool = False
 
+    def columns_with(self, more: Sequence[Candidate]) -> FloatArray:
+        """Return (n, J, p) its columns with some candidates beside it."""
+        return model_columns(self.responses, [*self.accepted, *more])
+
 
 def fitted_model(r: Responses, accepted: Sequence[Candidate]) -> Model:
     """Fit bias, scale and effects, those on the sensor's axes through atan2.
 
-    Args:
-        r: the responses as measured.
-        accepted: the effects, their columns linear about none.
+    The columns of `accepted` are linear about none.
 
     Returns:
         The linear fit where nothing in the model bends by more than the noise shows, or it cannot be bent.
@@ -272,13 +267,7 @@ def parts_deg(r: Responses, accepted: Sequence[Candidate], beta: FloatArray) -> 
 
 
 def is_shift_seen(r: Responses, accepted: Sequence[Candidate], shifting: Candidate) -> bool:
-    """Return whether effects of the elevation in a model tell if they are shifted by another effect, or not.
-
-    Args:
-        r: the responses.
-        accepted: the effects of the model.
-        shifting: the other effect, a backlash or a delay.
-    """
+    """Return whether effects of the elevation in a model tell whether a backlash or a delay shifts them."""
     moved = [m for c in accepted for m in c.members if m.shape.at_elevation is not None]
     if not moved:
         return False
@@ -405,7 +394,6 @@ class Curve:
         return error_y, error_z
 
     def _error_of(self, member: Candidate, own: FloatArray, felt_deg: FloatArray) -> VectorError:
-        """Return what one effect adds, by its own coefficients."""
         changed = member.changed
         # of what ended the coefficients are those of the runs before, less
         signed = -own if changed is not None and changed.ended else own

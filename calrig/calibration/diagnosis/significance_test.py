@@ -77,10 +77,8 @@ class FamilyTest:
     def passes(self, level: float, margin: float, bootstraps: int) -> bool | None:
         """Return whether the p-value is below a level; None where so many searches of noise leave that open.
 
-        Args:
-            level: of the decision.
-            margin: by how much to be ahead of all of them is clear.
-            bootstraps: how many are enough to take the p-value as it is.
+        `margin` is by how much to be ahead of all of them is clear; so many `bootstraps` are enough to take
+        the p-value as it is.
         """
         from scipy.special import bdtr, bdtrc
 
@@ -235,7 +233,7 @@ def gate(
         return Verdict(candidates, np.empty(0, dtype=np.float32), 0.0, 1.0, level >= 1.0, least)
     model = columns_with(())
     if noise is None:
-        noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)), unbiased=True)
+        noise = noise_of(fitted.residuals, r, max(1.0, model.shape[2] / len(r.channels)))
     by_known = known and known.of(tuple({c.label: None for c in candidates}), noise)
     if earlier is None:
         trial = Trial(r, columns_with, candidates, noise, fitted.residuals, draws=by_known is None)
@@ -283,10 +281,7 @@ def gate(
 def _worth_fitting(judged: FamilyTest, trial: Trial, most: float) -> float:
     """Return the least gain on the screen of a draw that may still change a decision.
 
-    Args:
-        judged: by the draws so far.
-        trial: that they belong to.
-        most: searches of noise that may exceed the best of a family.
+    At `most` so many searches of noise may exceed the best of a family.
     """
     yet_to_tell = judged.best[judged.exceeded < most]
     lowest = float(yet_to_tell.min() if len(yet_to_tell) else judged.best.min())

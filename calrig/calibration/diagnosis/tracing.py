@@ -330,17 +330,9 @@ def trace(
 
     Beside it `grade` and `says`, what a person should make of it.
 
-    Args:
-        runs: the poses of one or several runs of a unit.
-        run_ids: their ids, in the same order.
-        request: whether the reference may err, and known periods.
-        plan: of the latest run, for the follow-up to keep its settings.
-        limits_deg: soft limits of the rig; the range of the poses where there is none.
-        deciding: of the latest run, the poses that serve to decide; the others confirm.
-        progress: is called with the share of searches done.
-
-    Raises:
-        DiagnosisError: the poses cannot be diagnosed; the message says why.
+    The `plan` of the latest run has the settings of the follow-up; `limits_deg` are the rig's soft limits,
+    else the range of the poses. Of the latest run, the poses `deciding` serve to decide; the others confirm.
+    Other arguments and errors are as of `diagnose`.
     """
     used = [list(run) for run in runs]
     if deciding is not None:

@@ -16,7 +16,6 @@ from calrig.calibration.regression.effect import (
 from calrig.calibration.regression.terms import (
     ON_VECTOR,
     c_literal,
-    turns,
     vector_forms,
     where_axes_show,
     within,
@@ -48,7 +47,7 @@ EFFECT = Effect(
     covariate=ELEVATION,
     parameters=(Parameter("gain_pct", "Gain error", "%"), Parameter("skew_deg", "Skew", "°")),
     formula=ON_VECTOR + "a_y → (1 + gain_pct/100)·(a_y + a_z·sin skew_deg)",
-    forms=lambda r, _at: vector_forms(r, _on_vector_g, NAMES) if turns(r) else iter(()),
+    forms=lambda r, _at: vector_forms(r, _on_vector_g, NAMES),
     scan=where_axes_show,
     on_vector_g=_on_vector_g,
     in_c=_in_c,

@@ -49,7 +49,7 @@ def spectral_window(theta_deg: FloatArray, highest: float) -> tuple[FloatArray, 
 
 @lru_cache(maxsize=8)
 def _of_angles(angles: bytes, highest: float) -> tuple[FloatArray, FloatArray]:
-    """Return a search asks for the window of the same angles again and again."""
+    """Return the window of angles, stored: a search asks for that of the same angles again and again."""
     theta_deg = np.frombuffer(angles)
     first = theta_deg.min()
     bin_deg = max(min(BIN_DEG, 1.0 / (8.0 * highest)), float(theta_deg.max() - first) / MOST_BINS)

@@ -1,7 +1,6 @@
 """Gain and skew of the accelerometer's axes that move with temperature."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -11,18 +10,14 @@ from calrig.calibration.regression.effect import (
     Effect,
     Parameter,
     Parameters,
-    Shape,
     VectorError,
     VectorInC,
 )
-from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
     ON_VECTOR,
     c_literal,
     c_warmer,
-    turns,
-    vector_forms,
-    warmer_c,
+    warm_vector_forms,
     within,
 )
 
@@ -30,12 +25,6 @@ NAMES = ("gain_pct_per_c", "skew_deg_per_c")
 
 LARGEST_PCT_PER_C, LARGEST_SKEW_DEG_PER_C = 1.0, 0.1
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±0.02 %/°C; fifty times as much."""
-
-
-def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
-    found = warmer_c(r, at)
-    if found is not None and turns(r):
-        yield from vector_forms(r, _on_vector_g, NAMES, {"reference_c": found[1]})
 
 
 def _on_vector_g(p: Applied) -> VectorError:
@@ -62,7 +51,7 @@ EFFECT = Effect(
         Parameter("reference_c", "Reference temperature", "°C"),
     ),
     formula=ON_VECTOR + "a_y + (T − reference_c)·(gain_pct_per_c/100·a_y + skew_deg_per_c·π/180·a_z)",
-    forms=_forms,
+    forms=lambda r, at: warm_vector_forms(r, at, _on_vector_g, NAMES),
     on_vector_g=_on_vector_g,
     in_c=_in_c,
     apart="clamped at another angle, the unit takes it along",

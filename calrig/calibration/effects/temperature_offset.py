@@ -1,27 +1,20 @@
 """Offsets of the accelerometer's two axes that move with temperature: each a tempco in mg/°C."""
 
-from collections.abc import Iterator
-
 from calrig.calibration.regression.effect import (
     TEMPERATURE,
     Applied,
     Effect,
     Parameter,
-    Parameters,
-    Shape,
     VectorError,
     VectorInC,
 )
-from calrig.calibration.regression.responses import Responses
 from calrig.calibration.regression.terms import (
     MG,
     ON_VECTOR,
     c_literal,
     c_warmer,
     said_of_two_signals,
-    turns,
-    vector_forms,
-    warmer_c,
+    warm_vector_forms,
     within,
 )
 
@@ -29,12 +22,6 @@ NAMES = ("y_mg_per_c", "z_mg_per_c")
 LARGEST_MG_PER_C = 10.0
 """MPU-6050 data sheet PS-MPU-6000A-00 rev. 3.4, section 6.2: ±60 mg over 70 °C, 0.9 mg/°C;
 ten times as much."""
-
-
-def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
-    found = warmer_c(r, at)
-    if found is not None and turns(r):
-        yield from vector_forms(r, _on_vector_g, NAMES, {"reference_c": found[1]})
 
 
 def _on_vector_g(p: Applied) -> VectorError:
@@ -54,7 +41,7 @@ EFFECT = Effect(
         Parameter("reference_c", "Reference temperature", "°C"),
     ),
     formula=ON_VECTOR + "a_y + y_mg_per_c/1000·(T − reference_c), a_z + z_mg_per_c/1000·(T − reference_c)",
-    forms=_forms,
+    forms=lambda r, at: warm_vector_forms(r, at, _on_vector_g, NAMES),
     on_vector_g=_on_vector_g,
     in_c=lambda p: VectorInC(*(f"{c_literal(p.get(name, 0.0) * MG)} * {c_warmer(p)}" for name in NAMES)),
     apart="clamped at another angle, the unit takes it along",

@@ -495,11 +495,7 @@ def _evidence(r: Responses, shape: Shape) -> list[str]:
 def fitted_words(r: Responses, shape: Shape, added_deg: FloatArray, stated: Documents) -> list[str]:
     """Return where a circle is largest, or the slope of a straight line, a sentence in a list; else none.
 
-    Args:
-        r: the poses.
-        shape: what was fitted.
-        added_deg: (n,) what it adds to their readings.
-        stated: its parameters in a document.
+    `added_deg` (n,) is what the shape adds to the readings, `stated` its parameters in a document.
     """
     at, unit = stated.get("at"), unit_of_column(shape.covariate)
     if shape.form == CIRCLE and at is not None:

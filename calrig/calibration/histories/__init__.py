@@ -10,7 +10,6 @@ from calrig.calibration.histories.between_runs import (
     drift_deg_per_day,
 )
 from calrig.calibration.histories.charts import (
-    RIG_CHART,
     UNIT_CHART,
     Bounds,
     Checks,

@@ -20,29 +20,21 @@ from calrig.calibration.histories.repeatability import (
 )
 from calrig.estimation.angles import BoolArray, FloatArray
 
+FALSE_DISCOVERY_RATE = 0.05
+"""Of the units said to have changed, the share that chance is expected to have marked."""
 
-def rejection_level(p_value: FloatArray, rate: float) -> float:
-    """The p-value up to which hypotheses are rejected, so that the false discovery rate is at most `rate`.
+
+def rejection_level(p_value: FloatArray) -> float:
+    """The p-value up to which hypotheses are rejected of (m,) tests, at `FALSE_DISCOVERY_RATE`; 0 if none is.
 
     Of m ordered p-values the largest p₍ₖ₎ ≤ rate·k/m, and rate·k/m is given (Benjamini & Hochberg, Journal of
     the Royal Statistical Society B 57, 1995, procedure (1)); it holds for independent tests and for those
     that depend positively.
-
-    Args:
-        p_value: (m,) of as many tests.
-        rate: expected share of true hypotheses among those rejected.
-
-    Returns:
-        0 where none is rejected.
     """
     m = len(p_value)
-    steps = rate * np.arange(1, m + 1) / max(m, 1)
+    steps = FALSE_DISCOVERY_RATE * np.arange(1, m + 1) / max(m, 1)
     passing = np.flatnonzero(np.sort(p_value) <= steps)
     return float(steps[passing[-1]]) if len(passing) else 0.0
-
-
-FALSE_DISCOVERY_RATE = 0.05
-"""Of the units said to have changed, the share that chance is expected to have marked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,10 +135,10 @@ def changes(figures: tuple[Runs, ...], known: tuple[Repeatability | None, ...] |
             apart |= _standing_out(runs, first, second)
     pooled = known or tuple(repeatability(runs, second[apart]) for runs in figures)
     found = tuple(differences(*both) for both in zip(figures, pooled, strict=True))
-    p_value = _least(np.array([one.p_value for one in found]), axis=0)
+    p_value = _least(np.array([one.p_value for one in found]))
     unit = figures[0].unit[first] if len(first) else np.empty(0, dtype=np.intp)
     of_units = _by_unit(p_value, unit, int(figures[0].unit.max(initial=-1)) + 1)
-    level = rejection_level(of_units[np.isfinite(of_units)], FALSE_DISCOVERY_RATE)
+    level = rejection_level(of_units[np.isfinite(of_units)])
     tests = np.bincount(unit[np.isfinite(p_value)], minlength=len(of_units))
     changed = np.nan_to_num(p_value, nan=1.0) * tests[unit] <= level if level > 0.0 else np.zeros_like(apart)
     return Changes(figures[0].unit, found, pooled, p_value, of_units, level, changed)
@@ -161,12 +153,12 @@ def _standing_out(runs: Runs, first: IntArray, second: IntArray) -> BoolArray:
     return out
 
 
-def _least(p_value: FloatArray, axis: int) -> FloatArray:
-    """Bonferroni over the known ones along an axis; NaN where there is none."""
+def _least(p_value: FloatArray) -> FloatArray:
+    """Bonferroni over the known ones along the first axis; NaN where there is none."""
     known = np.isfinite(p_value)
-    least = np.where(known, p_value, np.inf).min(axis=axis)
-    tests = np.maximum(known.sum(axis=axis), 1)
-    return np.where(known.any(axis=axis), np.minimum(least * tests, 1.0), np.nan)
+    least = np.where(known, p_value, np.inf).min(axis=0)
+    tests = np.maximum(known.sum(axis=0), 1)
+    return np.where(known.any(axis=0), np.minimum(least * tests, 1.0), np.nan)
 
 
 def _by_unit(p_value: FloatArray, unit: IntArray, units: int) -> FloatArray:

@@ -54,14 +54,12 @@ class ControlChart:
     """A chart of n runs, or of many series of n at once.
 
     Attributes:
-        q: (…, n) each run less the mean of those before it, over its standard deviation: independent and
-            standard normal while nothing changes (`normal_score`). 0 for the first, which has none before it.
-        average: (…, n) the moving average of q.
+        average: (…, n) the moving average of self-started scores (`q_statistics`, `normal_score`), which are
+            independent and standard normal while nothing changes; 0 for the first run.
         limit: (n,) what it must not exceed; infinite for the first.
         signals: (…, n) whether it does.
     """
 
-    q: FloatArray
     average: FloatArray
     limit: FloatArray
     signals: npt.NDArray[np.bool_]
@@ -124,7 +122,7 @@ def control_chart(
     average = np.zeros(q.shape)
     average[..., 1:] = moving_average(q[..., 1:], ewma.weight)
     limit = np.concatenate([[np.inf], ewma.limits(max(n - 1, 0))])[:n]
-    return ControlChart(q, average, limit, np.abs(average) > limit)
+    return ControlChart(average, limit, np.abs(average) > limit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +130,12 @@ class Checks:
     """The results of n checks of a rig.
 
     Attributes:
-        q, average: (n,) as in `ControlChart`; the average restarts after each failure.
+        average: (n,) as in `ControlChart`; it restarts after each failure.
         limit: (n,) control limit of the average; infinite where the average was not tested.
         failed: (n,) whether the check failed.
         known: (n,) whether there was a mean to test it against: not for the first.
     """
 
-    q: FloatArray
     average: FloatArray
     limit: FloatArray
     failed: npt.NDArray[np.bool_]
@@ -146,13 +143,9 @@ class Checks:
 
 
 def checks(
-    value: FloatArray,
-    variance: FloatArray,
-    judged_from: int,
-    ewma: Ewma = RIG_CHART,
-    freedom: FloatArray | None = None,
+    value: FloatArray, variance: FloatArray, judged_from: int, freedom: FloatArray | None = None
 ) -> Checks:
-    """Chart the checks of a rig by its check standard: the mean is of the checks that passed.
+    """Chart the checks of a rig (`RIG_CHART`) by its check standard: the mean is of the checks that passed.
 
     A failed check never moves the mean. A rig that failed passes again with the first check within
     `PUT_RIGHT` standard deviations of the mean, and the average restarts there. A shift before
@@ -162,22 +155,21 @@ def checks(
         value: (n,) of the check unit on the rig, in the order measured.
         variance: (n,) of each, known.
         judged_from: place of the first run that is a check; those before it are its history.
-        ewma: the chart.
         freedom: (n,) degrees of freedom that the variances rest on; None where they are known.
     """
     n = len(value)
-    q, average = np.zeros(n), np.zeros(n)
+    average = np.zeros(n)
     failed, known = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     weight, mean, z, failing = 0.0, 0.0, 0.0, False
-    limits, since, held = ewma.limits(n), 0, np.full(n, np.inf)
+    limits, since, held = RIG_CHART.limits(n), 0, np.full(n, np.inf)
     for i in range(n):
         if weight > 0.0:
             known[i] = True
             t = (value[i] - mean) / np.sqrt(variance[i] + 1.0 / weight)
-            q[i] = normal_score(t, None if freedom is None else freedom[i])
-            z = ewma.weight * q[i] + (1.0 - ewma.weight) * z
+            q = float(normal_score(t, None if freedom is None else freedom[i]))
+            z = RIG_CHART.weight * q + (1.0 - RIG_CHART.weight) * z
             average[i], held[i] = z, limits[since]
-            out = abs(q[i]) > PUT_RIGHT if failing else abs(z) > limits[since]
+            out = abs(q) > PUT_RIGHT if failing else abs(z) > limits[since]
             since += 1
             failing = out and i >= judged_from
             failed[i] = failing
@@ -190,7 +182,7 @@ def checks(
         own = 1.0 / variance[i]
         mean = (weight * mean + own * value[i]) / (weight + own)
         weight += own
-    return Checks(q, average, held, failed, known)
+    return Checks(average, held, failed, known)
 
 
 FEWEST_RUNS = 3
@@ -214,7 +206,6 @@ class Forecast:
 
     Attributes:
         due_day: days since the first run, of the last one or later; None where the forecast does not tell.
-        why: in words.
         fits: whether the history lies on a line as well as its variances say (χ², 99 %).
     """
 

@@ -187,10 +187,7 @@ def allowed_deg(task: DesignProblem, goals: Goals, scatter_deg: float) -> float:
     As large as the uncertainty wanted: more would not be covered. Where the rig may sweep, there is time for
     more: no more than the default plan too leaves hidden of a drift, its readings as uncertain as is wanted.
 
-    Args:
-        task: for what.
-        goals: wanted.
-        scatter_deg: of readings, where no uncertainty is named.
+    `scatter_deg` is of readings, where no uncertainty is named.
     """
     wanted_deg = goals.expanded_deg
     if task.sweeping is None:
@@ -215,10 +212,7 @@ def excess_of(task: DesignProblem, goals: Goals, first: Design) -> Callable[[Des
 
     That is the largest share of what is allowed; 1 and less is enough.
 
-    Args:
-        task: for what.
-        goals: wanted.
-        first: the quickest design that reaches them.
+    `first` is the quickest design that reaches the goals.
     """
     allowed = allowed_deg(task, goals, first.scatter_deg)
     never: dict[bool, set[str]] = {}
@@ -259,10 +253,7 @@ def limit_s(task: DesignProblem, goals: Goals, *, must_show: bool = True) -> flo
     The poses stand at the two ends and nowhere else; they are as many as are soonest taken, and as could show
     an effect of time where effects are to be traced.
 
-    Args:
-        task: for what.
-        goals: to be reached.
-        must_show: whether a plan that hides more than is allowed is none; a plan for a time may.
+    Without `must_show`, as for a plan for a time, a plan may hide more than is allowed.
     """
     must_show = must_show and task.trace and not task.until and goals.expanded_deg is not None
     of_sweeps_s = math.inf if task.sweeping is None else _of_sweeps_s(task, goals, must_show=must_show)

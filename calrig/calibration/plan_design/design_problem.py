@@ -115,11 +115,8 @@ def scatter_wanted_deg(
 ) -> float:
     """The largest scatter of a reading with which so many poses reach all goals; 0 where none does.
 
-    Args:
-        goals: what is wanted.
-        type_b: the reference's part.
-        n_poses: how many; the line takes two degrees of freedom.
-        leverages: of the layout, for scatter 1 (`layout.leverage`).
+    `type_b` is the reference's part, `leverages` are of the layout, for scatter 1 (`layout.leverage`). The
+    line takes two degrees of freedom.
     """
     reading, of_bias, of_scale = stated_for_scatter_1(n_poses, leverages)
     allowed = [math.inf]

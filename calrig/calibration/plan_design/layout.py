@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calrig.calibration.uncertainty.budget import mean_over_range
 from calrig.estimation.angles import FloatArray
 from calrig.model.plan import FIRST_SETTLE_S, LONGEST_STRETCH_DEG, Plan, PlannedPose
 
@@ -161,10 +162,7 @@ def leverage(elevations_deg: list[float]) -> tuple[float, float, float]:
     theta = np.array(elevations_deg)
     design = np.column_stack([np.ones(len(theta)), theta])
     covariance = np.linalg.inv(design.T @ design)
-    low, high = theta.min(), theta.max()
-    mean, mean_square = (low + high) / 2.0, (low * low + low * high + high * high) / 3.0
-    over_range = covariance[0, 0] + 2.0 * mean * covariance[0, 1] + mean_square * covariance[1, 1]
-    return float(over_range), float(covariance[0, 0]), float(covariance[1, 1])
+    return mean_over_range(covariance, theta), float(covariance[0, 0]), float(covariance[1, 1])
 
 
 PASSES = (2, 3, 4, 6, 8)

@@ -66,12 +66,8 @@ def forgotten_s(
 
     The RMS over the poses of κ·gain error·move (`filter_share`); `LONGEST_S` where none is long enough.
 
-    Args:
-        elevations_deg: in the order of visiting.
-        moves_s: how long the move to each takes.
-        dwell_s: of each.
-        gyro: and its filter.
-        allowed_deg: the most it may show.
+    Poses are in the order of visiting; `moves_s` are how long the move to each takes, and `dwell_s` is of
+    each.
     """
     moves_deg = np.diff(np.asarray(elevations_deg), prepend=elevations_deg[0])
     least_s = LONGEST_S

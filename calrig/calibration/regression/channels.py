@@ -106,12 +106,8 @@ def add_witnesses(
 ) -> None:
     """Add the witnesses that all poses have: accelerometer, gyro over the moves, the stage's own report.
 
-    Args:
-        table: with the reading.
-        poses: n of them.
-        theta: (n,) elevations, degrees.
-        move: (n,) moves into the poses, degrees.
-        starts: (n,) whether a pose follows on nothing.
+    `table` has the reading. Elevations `theta` and moves `move` into the n poses are (n,), degrees; `starts`
+    (n,) tells whether a pose follows on nothing.
     """
     x, y, z = (column_of(poses, f"accel_{axis}_g") for axis in "xyz")
     if y is not None and z is not None:

@@ -46,14 +46,9 @@ def sin_cos(felt_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def turned_vector(felt_deg: FloatArray, error: VectorError) -> tuple[FloatArray, FloatArray]:
-    """Return what errors of all effects together do to the measured vector.
+    """Return (n,) the turn of the measured vector by errors of all effects, degrees, and (n,) its length, g.
 
-    Args:
-        felt_deg: (n,) elevation of the sensor, degrees.
-        error: of a_y and a_z, g.
-
-    Returns:
-        (n,) the angle by which it turns, degrees, and (n,) its length, g.
+    `felt_deg` (n,) are elevations of the sensor, `error` is of a_y and a_z, g.
     """
     s, c = sin_cos(felt_deg)
     across, along = error[0] * c - error[1] * s, 1.0 + error[0] * s + error[1] * c
@@ -299,7 +294,6 @@ class Effect:
 
     Attributes:
         name, origin, covariate: as CONTRACT section 5 has them.
-        title: for a heading.
         scope: what it stays with: the unit (applied in flight), the rig (its error map), or one run alone.
         parameters: those of its documents, in their order.
         formula: what is added to the reading, as text.

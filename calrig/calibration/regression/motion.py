@@ -276,8 +276,7 @@ def _abrupt(pace: FloatArray) -> tuple[FloatArray, FloatArray]:
     That is where the strokes before and after an interval meet within it: 0 at its first pose, 1 at its last;
     NaN where the motion did not change.
 
-    Args:
-        pace: (n − 1,) mean velocities between n poses, deg/s.
+    `pace` are (n − 1,) mean velocities between n poses, deg/s.
     """
     from_dps, to_dps = pace[:-2], pace[2:]
     jump = from_dps - to_dps
@@ -398,12 +397,8 @@ def behind(
     Between two stretches the stage turns evenly, before one it stood and behind one it comes to a stand, all
     at one velocity; dwells are as long as stretches are.
 
-    Args:
-        time_s: (n,) of the poses' middles.
-        theta_deg: (n,) elevations.
-        stretch_deg: (n,) as `stretches_deg` has them.
-        starts: (n,) whether a pose is the first of its run.
-        lag_s: time constant.
+    `time_s` (n,) are the poses' middles, `stretch_deg` (n,) as `stretches_deg` has them; `starts` (n,) tells
+    whether a pose is the first of its run. `lag_s` is a time constant.
     """
     turning = stretch_deg > 0.0
     way_deg, took_s = np.diff(theta_deg, prepend=theta_deg[:1]), np.diff(time_s, prepend=time_s[:1])

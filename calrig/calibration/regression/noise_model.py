@@ -134,9 +134,9 @@ class NoiseModel:
     rotation: FloatArray
     rho: FloatArray
 
-    def whiten(self, x: FloatArray, starts: BoolArray, share: float = 1.0) -> FloatArray:
-        """Return innovations of x (…, n, J) in the rotated channels, with `share` of rho undone."""
-        return np.moveaxis(self.innovations(self.rotated(x), starts, share), 0, -1)
+    def whiten(self, x: FloatArray, starts: BoolArray) -> FloatArray:
+        """Return innovations of x (…, n, J) in the rotated channels."""
+        return np.moveaxis(self.innovations(self.rotated(x), starts), 0, -1)
 
     def floor(self, rounding: FloatArray) -> FloatArray:
         """Return (J,) variance in each rotated channel of errors of rounding (J,) in the responses.
@@ -163,7 +163,7 @@ class NoiseModel:
         white[..., starts] = rotated[..., starts]
         return white
 
-    def unwhitened(self, white: Real, starts: BoolArray, share: float = 1.0) -> Real:
+    def unwhitened(self, white: Real, starts: BoolArray, share: float) -> Real:
         """Return (J, …, n) the transpose of `innovations`: x·unwhitened(y) is innovations(x)·y."""
         rho = (self.rho * share).astype(white.dtype).reshape(-1, *(1,) * (white.ndim - 1))
         gain = np.where(_follows(starts), 1.0 / np.sqrt(1.0 - rho**2), 0.0).astype(white.dtype)
@@ -230,12 +230,7 @@ class Fit:
 
 
 def fit(r: Responses, columns: FloatArray) -> Fit:
-    """Fit coefficients and noise in turn until they agree.
-
-    Args:
-        r: the responses.
-        columns: (n, J, p).
-    """
+    """Fit coefficients of `columns` (n, J, p) and noise in turn until they agree."""
     fitted = fits(r, r.values[None], columns[None])
     noise = NoiseModel(fitted.rotation[0], fitted.rho[0])
     return Fit(fitted.beta[0], fitted.covariance[0], fitted.residuals[0], noise, float(fitted.criterion[0]))
@@ -378,9 +373,9 @@ def _innovations(
     return rotated.reshape(len(rotated), -1, rotated.shape[3])
 
 
-def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray, share: float = 1.0) -> FloatArray:
+def stacked(noise: NoiseModel, starts: BoolArray, columns: FloatArray) -> FloatArray:
     """Return whitened columns (n, J, p) as one matrix (n·J, p)."""
-    white = noise.whiten(np.moveaxis(columns, 2, 0), starts, share)
+    white = noise.whiten(np.moveaxis(columns, 2, 0), starts)
     return white.reshape(len(white), -1).T
 
 
@@ -409,10 +404,7 @@ def moved_unweighted(r: Responses, columns: FloatArray, fitted: Fit) -> FloatArr
     (Hausman, Econometrica 46, 1978). If an effect has another shape than the model's, or strongly correlated
     noise is of another kind, each fit has its own answer, and neither is as certain as it states.
 
-    Args:
-        r: the responses.
-        columns: (n, J, p) of the fit.
-        fitted: the fit.
+    `columns` are (n, J, p) of the fit.
     """
     noise = fitted.noise
     if noise.rho.max() < STRONG_RHO:
@@ -442,10 +434,7 @@ def varied_between_parts(r: Responses, columns: FloatArray, fitted: Fit) -> Floa
     difference of both variances (Hausman, as above). If it moves further, errors grow by the Birge ratio
     (R. T. Birge, Physical Review 40, 1932): a hysteresis that depends on the speed is another in each part.
 
-    Args:
-        r: the responses.
-        columns: (n, J, p) of the fit.
-        fitted: the fit.
+    `columns` are (n, J, p) of the fit.
     """
     from scipy.special import chdtrc
 
@@ -471,19 +460,14 @@ def varied_between_parts(r: Responses, columns: FloatArray, fitted: Fit) -> Floa
     return np.where(several & (chance < PARTS_DISAGREE), ratio, 1.0)
 
 
-def noise_of(residuals: FloatArray, r: Responses, parameters: float, *, unbiased: bool = False) -> NoiseModel:
-    """Return the noise model of residuals.
+def noise_of(residuals: FloatArray, r: Responses, parameters: float) -> NoiseModel:
+    """Return the noise model of residuals (n, J) of a fit that took so many parameters per channel.
 
-    Args:
-        residuals: (n, J) of a fit.
-        r: the responses; where their runs start, and what rounding leaves of them.
-        parameters: how many the fit took per channel.
-        unbiased: add what fitting takes off the correlation, about (1 + p + 4ρ)/n (Kendall, 1954), as a
-            bootstrap that is to behave like the noise needs it.
+    What fitting takes off the correlation, about (1 + p + 4ρ)/n (Kendall, 1954), is added: a bootstrap that
+    is to behave like the noise needs it.
     """
     (rotation,), (rho,) = lagged_products(residuals[None], r.starts, r.rounding).noises(parameters)
-    if unbiased:
-        rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / len(residuals)
+    rho = rho + 0.75 * (1.0 + parameters + 4.0 * np.maximum(rho, 0.0)) / len(residuals)
     return NoiseModel(rotation, np.clip(rho, SMALLEST_RHO, LARGEST_RHO))
 
 

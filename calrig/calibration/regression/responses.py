@@ -178,9 +178,7 @@ class Responses:
     def with_free(self, own: FloatArray, name: str) -> Responses:
         """Return the responses with free columns (n, p) in the base of the reading and of the accel angle.
 
-        Args:
-            own: the columns.
-            name: of each in `base_names`, after the channel's.
+        Each is called `name` in `base_names`, after the channel's.
         """
         seen, width = [channel for channel in (READING, ANGLE) if channel in self.channels], own.shape[1]
         freed = np.zeros((len(self), len(self.channels), len(seen) * width))

@@ -69,11 +69,7 @@ def curve_document(
 ) -> Documents:
     """Return knots and the values there, with standard errors, of the curve with coefficients beta (p,).
 
-    Args:
-        knots: (k,) of the basis.
-        columns: (n, p) of the basis in the poses.
-        beta: (p,) coefficients of the basis.
-        covariance: (p, p) of them.
+    `knots` (k,) and `columns` (n, p) are of the basis, `covariance` (p, p) of the coefficients.
     """
     columns = bent_columns(columns, knots)
     variance = np.einsum("ki,ij,kj->k", columns, covariance, columns)
@@ -85,14 +81,9 @@ def curve_document(
 
 
 def bent_columns(columns: FloatArray, knots: FloatArray | None = None) -> FloatArray:
-    """Return columns of the basis without their straight lines over the poses, which are bias and scale.
+    """Return columns (n, p) of the basis without their straight lines over the poses: bias and scale.
 
-    Args:
-        columns: (n, p) of the basis in the poses.
-        knots: (k,) where the columns are wanted instead of the poses.
-
-    Returns:
-        (n, p), or (k, p).
+    With `knots` (k,) they are wanted there instead of in the poses: (k, p).
     """
     u = columns[:, 0]
     lines = np.linalg.lstsq(np.column_stack([np.ones_like(u), u]), columns, rcond=None)[0]

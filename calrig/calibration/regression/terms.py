@@ -144,7 +144,12 @@ def vector_forms(
     names: tuple[str, str],
     at: Parameters | None = None,
 ) -> Iterator[Shape]:
-    """Both of two parameters of an effect on a_y and a_z, and each alone, linear about no effect."""
+    """Both of two parameters of an effect on a_y and a_z, and each alone, linear about no effect.
+
+    None at one elevation alone.
+    """
+    if not turns(r):
+        return
     s, c = sin_cos(r)
     given = Circumstances.of(r)
 
@@ -196,6 +201,15 @@ def warmer_c(r: Responses, at: Parameters) -> tuple[FloatArray, float] | None:
         return None
     reference_c = float(at.get("reference_c", r.temperature_c.mean()))
     return np.asarray(r.temperature_c - reference_c, dtype=np.float64), reference_c
+
+
+def warm_vector_forms(
+    r: Responses, at: Parameters, on_vector_g: Callable[[Applied], VectorError], names: tuple[str, str]
+) -> Iterator[Shape]:
+    """`vector_forms` of an effect that follows temperature."""
+    found = warmer_c(r, at)
+    if found is not None:
+        yield from vector_forms(r, on_vector_g, names, {"reference_c": found[1]})
 
 
 def one_leg(r: Responses) -> bool:

@@ -169,12 +169,8 @@ def elevation_errors_deg(
 
     Effects of the stage are taken out at θ, which they lead to; those of the unit at the elevation itself.
 
-    Args:
-        theta_deg: (n,) elevations of the stage.
-        left_deg: (n,) what line and effects leave of each reading there, on the turn of the stage.
-        line: bias and scale.
-        effects: of the unit and of the stage.
-        given: what the effects follow.
+    `theta_deg` (n,) are elevations of the stage, `left_deg` (n,) what line and effects leave of each reading
+    there, on the turn of the stage. Effects are of the unit and of the stage.
     """
     own, felt_deg = of_unit(effects), felt_elevation_deg(theta_deg, line.bias_deg, line.scale)
     added_deg = effects_on_reading_deg(own, theta_deg, given, felt_deg)

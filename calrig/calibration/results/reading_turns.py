@@ -25,9 +25,7 @@ OF_NOISE = 3.0
 def readings_wrap(reading_deg: FloatArray, expected_deg: FloatArray) -> bool | None:
     """Return whether a sensor's readings start anew after a turn; None where its poses do not show it.
 
-    Args:
-        reading_deg: (n,) of the poses.
-        expected_deg: (n,) bias + scale·θ, on the turn of most readings.
+    `expected_deg` (n,) are bias + scale·θ, on the turn of most readings.
     """
     if np.rint((reading_deg - expected_deg) / TURN_DEG).any():
         return True

@@ -34,11 +34,9 @@ def tilted(tilts: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def stage_direction(turn: FloatArray, dip: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The vertical as the table has it, (n, 3), and its derivatives by the turn and by the dip.
+    """The vertical as the table has it, (n, 3), and its derivatives by the turn φ (n,) and the dip, rad.
 
-    Args:
-        turn: (n,) φ, rad.
-        dip: of the stage's axis out of level, rad.
+    The dip is of the stage's axis out of level.
     """
     s, c = np.sin(turn), np.cos(turn)
     nil, one = np.zeros_like(s), np.ones_like(s)

@@ -197,11 +197,9 @@ class Gravity:
         excluded: those that do not.
         base: bias and scale alone.
         final: with the effects that were found.
-        found: those effects.
         held_out: how the held-out errors were measured, in words.
         base_held_out_g: (n,) error of each pose by a fit without it.
         final_held_out_g: (n,) the same with effects.
-        warnings: sentences.
     """
 
     poses: StaticPoses
@@ -296,9 +294,7 @@ def trace_gravity(
 def gravity_document(gravity: Gravity, line_of: Callable[[int], int] | None = None) -> dict[str, Any]:
     """Return the document of `calrig gravity --json` (CONTRACT section 7), with `warnings`.
 
-    Args:
-        gravity: what it says.
-        line_of: line in the file of a sample; without it a pose is named by its samples, from 0.
+    `line_of` gives the line in the file of a sample; without it a pose is named by its samples, from 0.
     """
     base, final, n = gravity.base, gravity.final, len(gravity.poses)
     effects = [_effect_document(gravity, found) for found in gravity.found]
@@ -378,7 +374,6 @@ def _refuse_what_determines_nothing(poses: StaticPoses) -> None:
 
 
 def _undetermined(problem: Problem, base: GravityFit) -> list[str]:
-    """Return sentences on what these poses cannot show."""
     pairs = problem.undetermined_pairs
     said = []
     if pairs:

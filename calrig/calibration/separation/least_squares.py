@@ -112,13 +112,10 @@ class Fit:
 def fitted(
     problem: Problem, weights: FloatArray, start: FloatArray | None = None, *, robust: bool = False
 ) -> Fit:
-    """The least squares solution.
+    """The least squares solution, poses weighted by 1 or 0 (n,).
 
-    Args:
-        problem: the model.
-        weights: (n,) 1 or 0.
-        start: (p,) where to begin; from faultless units without it.
-        robust: poses far off count less, after Huber; the noise is then that of the most.
+    It begins at `start` (p,), or at faultless units. With `robust`, poses far off count less, after Huber;
+    the noise is then that of the most.
     """
     free, prior = problem.free, problem.widths() ** -2.0
     centre = problem.start()
@@ -239,11 +236,7 @@ LEAST_SQUARES = 1e-300
 
 
 def correlation_of(fit: Fit) -> float:
-    """Lag-1 correlation of the poses' noise, none where nothing tells in which order they were measured.
-
-    Args:
-        fit: of all parameters, to poses taken as uncorrelated.
-    """
+    """Lag-1 correlation of the noise of poses fitted as uncorrelated; none if nothing tells their order."""
     from scipy.optimize import minimize_scalar
 
     if not fit.problem.table.in_order:

@@ -79,12 +79,9 @@ class Level:
 
 
 def level_of(fit: Fit, unit: int, seat_std_deg: float | None = None) -> Level | None:
-    """The level of a unit by its reversals; None where it was not reversed on any seat.
+    """The level of a unit (by index) by its reversals; None where it was not reversed on any seat.
 
-    Args:
-        fit: of all mounts.
-        unit: by index.
-        seat_std_deg: how far a clamping scatters from the next of the same face on the same seat, if stated.
+    `seat_std_deg` is how far a clamping scatters from the next of the same face on the same seat, if stated.
     """
     mounts, seats = _reversed_on(fit, unit)
     if not len(mounts):

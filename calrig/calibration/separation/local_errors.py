@@ -40,9 +40,7 @@ ROOM = 0.2
 def without_regions(fit: Fit, weights: FloatArray) -> tuple[Fit, FloatArray, tuple[Region, ...]]:
     """Return the fit without the poses of local errors, its weights (n,), and the regions.
 
-    Args:
-        fit: of any model of the map.
-        weights: (n,) 0 of outliers.
+    The fit is of any model of the map; `weights` (n,) are 0 of outliers.
     """
     table = fit.problem.table
     if len(table) < FEWEST_POSES:

@@ -59,14 +59,7 @@ CLOCK_ERRORS = 3.0
 def messages_of(
     solution: Solution, on_stage: Mapped, gyros: Sequence[WholeGyro | None], frame: Frame
 ) -> list[str]:
-    """Return the messages on a solution, the most important first.
-
-    Args:
-        solution: with its units.
-        on_stage: its map and mounts.
-        gyros: of each unit.
-        frame: that the accelerometers' matrices were asked for in.
-    """
+    """Return the messages on a solution, the most important first."""
     units = range(len(solution.table.units))
     if solution.table.is_whole:
         found = _of_linear(solution)
@@ -388,9 +381,7 @@ AS_GOOD = 1.1
 def advised(solution: Solution, limits_deg: tuple[float, float] | None = None) -> MountAdvice | None:
     """The plan of mounts for the unit that is known least; None where none would help, or of whole units.
 
-    Args:
-        solution: of what was taken so far.
-        limits_deg: of the dial; without them no angle is advised beyond those of the poses.
+    Without `limits_deg` of the dial no angle is advised beyond those of the poses.
     """
     if solution.table.is_whole:
         return None

@@ -143,9 +143,7 @@ class Inverse(_Blocks):
 def inverse_of(matrix: Arrow, free: BoolArray) -> Inverse:
     """The inverse of a positive definite arrow; scaled, so that units of measure do not matter.
 
-    Args:
-        matrix: the arrow.
-        free: (q,) what of the border is inverted.
+    `free` (q,) is what of the border is inverted.
     """
     border, middle = matrix.border[free], matrix.middle[np.ix_(free, free)]
     edge = np.diag(middle).copy()

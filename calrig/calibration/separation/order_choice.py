@@ -93,9 +93,7 @@ def _terms(dial_deg: FloatArray, orders: Sequence[float]) -> int:
 def chosen(rich: Fit, known_orders: Collection[float] = ()) -> Choice:
     """Forward selection on the normal equations of a fit that has every order in it.
 
-    Args:
-        rich: with all orders free.
-        known_orders: of gears whose periods are known: in the map whatever the gate says.
+    `known_orders` of gears whose periods are known are in the map whatever the gate says.
     """
     problem, beside = rich.problem, _beside_units(rich)
     own = of_the_unit(problem.linear)

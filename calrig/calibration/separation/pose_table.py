@@ -74,16 +74,7 @@ class MountedPoses:
         axis: str,
         planned_deg: Sequence[float],
     ) -> list[MountedPoses]:
-        """Return the poses of a run, by mounting: at the angle of each pose, else at the only one planned.
-
-        Args:
-            poses: those included.
-            unit: serial number.
-            run_id: of the run.
-            name: of the run, in labels.
-            axis: which of the unit's axes lies along the stage's.
-            planned_deg: mounting angles of the plan.
-        """
+        """Return the poses of a run, by mounting: at the angle of each pose, else at the only one planned."""
         lots: dict[float | None, list[Pose]] = {}
         for pose in poses:
             own = pose.covariates.get(MOUNT_DEG)

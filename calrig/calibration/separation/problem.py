@@ -339,12 +339,7 @@ class Problem:
         return sensed_vector(own, self.directions(parameters), self.table.warmer_c)
 
     def normal(self, parameters: FloatArray, weights: FloatArray) -> Normal:
-        """Return the normal equations about some parameters.
-
-        Args:
-            parameters: (p,).
-            weights: (n,) of the poses; 0 of one that is left out.
-        """
+        """Return the normal equations about parameters (p,), with weights (n,): 0 of a pose left out."""
         left, derivatives = self._responses(parameters)
         kept, own = np.flatnonzero(weights > 0.0), self.n_own
         white, log_variance = self._white(left, derivatives, weights, kept)

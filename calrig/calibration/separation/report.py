@@ -105,11 +105,8 @@ def solution_document(
 ) -> dict[str, Any]:
     """Return everything that was solved for, how well it is known, and which mounts would help.
 
-    Args:
-        solution: of the poses.
-        limits_deg: of the dial, which mounts are advised within.
-        progress: callback, called with the share that is done.
-        frame: of the accelerometers' matrices.
+    Mounts are advised within the `limits_deg` of the dial. `progress` is called with the share that is done;
+    `frame` is of the accelerometers' matrices.
     """
     fit, on_stage = solution.fit, mapped(solution)
     tested, wholes = held_out(fit, progress), whole_units(solution, frame)

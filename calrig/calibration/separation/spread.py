@@ -93,11 +93,9 @@ class _Likelihood:
         self._found: dict[Spread, float] = {}
 
     def over(self, name: str, spread: Spread) -> list[float]:
-        """Along one component's grid."""
         return [self.of(replace(spread, **{name: std})) for std in GRIDS[name]]
 
     def of(self, spread: Spread) -> float:
-        """Of one spread."""
         if spread not in self._found:
             self._found[spread] = self._computed(spread)
         return self._found[spread]

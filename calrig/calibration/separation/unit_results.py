@@ -281,12 +281,8 @@ def mounted_otherwise(
 ) -> ElevationUncertainty:
     """What would be known of the elevation of one unit in the plane, clamped at other angles, mounts alike.
 
-    Args:
-        fit: says how large noise, map and the unit's errors are.
-        unit: by index.
-        rows: poses whose dial angles each mount is taken to.
-        mounts_deg: angles of the clampings.
-        dial_deg: of these poses, in place of their own.
+    The fit says how large noise, map and the unit's errors are. To each mount are taken the dial angles of
+    the poses `rows`, or `dial_deg` in place of these.
     """
     problem, n = fit.problem, len(mounts_deg)
     poses = problem.table.rows(np.tile(rows, n))

@@ -153,7 +153,7 @@ def reference_part(theta_deg: FloatArray, scale: float | None, reference: Refere
     else:
         line = np.eye(design.shape[1])[:, :1]
     covariance = np.asarray(std_deg**2 * line @ line.T, dtype=np.float64)
-    of_elevation = math.sqrt(_mean_over_range(covariance, theta_deg)) if kind == "setting" else std_deg
+    of_elevation = math.sqrt(mean_over_range(covariance, theta_deg)) if kind == "setting" else std_deg
     return ReferencePart(
         bias_deg=factor * math.sqrt(covariance[0, 0]),
         scale=None if scale is None else factor * math.sqrt(covariance[1, 1]),
@@ -161,7 +161,7 @@ def reference_part(theta_deg: FloatArray, scale: float | None, reference: Refere
     )
 
 
-def _mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
+def mean_over_range(covariance: FloatArray, theta_deg: FloatArray) -> float:
     """Mean of (1 θ)·covariance·(1 θ)ᵀ over the range of the elevations; the bias' alone where it is 1×1."""
     if len(covariance) == 1:
         return float(covariance[0, 0])
@@ -186,7 +186,7 @@ def _type_a_deg(line: Line, theta_deg: FloatArray, scatter_deg: float | None) ->
     scatter_deg = line.residual_std_deg if scatter_deg is None else scatter_deg
     if line.errors is not None:
         return math.hypot(scatter_deg / (line.slope or line.scale), line.errors.mean_variance_deg2**0.5)
-    of_line = _mean_over_range(np.array(line.covariance), theta_deg)
+    of_line = mean_over_range(np.array(line.covariance), theta_deg)
     return math.sqrt(scatter_deg**2 + of_line) / abs(line.slope or line.scale)
 
 
@@ -206,9 +206,7 @@ def places_deg(theta_deg: FloatArray, nominal_deg: FloatArray) -> FloatArray:
 
     Those commanded, if they are at most `MOST_PLACES`; else the middles of as many segments of the range.
 
-    Args:
-        theta_deg: (n,) elevations of the poses.
-        nominal_deg: (n,) elevations that they were commanded to.
+    `theta_deg` and `nominal_deg` are (n,) elevations of the poses, and those that they were commanded to.
     """
     places = np.round(nominal_deg, 3)
     if len(np.unique(places)) <= MOST_PLACES:

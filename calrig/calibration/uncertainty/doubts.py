@@ -184,10 +184,7 @@ def residual_doubts(before: Result, now: Result, against: str) -> list[Doubt]:
     smallest one expected. Their ratio must exceed `RESIDUAL_FACTOR` and, squared, the quantile of F at
     `RESIDUAL_P` (Draper & Smith, Applied Regression Analysis, 1998, section 2.1).
 
-    Args:
-        before: result of the run in force, CONTRACT section 2.
-        now: result of the new run.
-        against: names the calibration in force, for the sentence.
+    `against` names the calibration in force, for the sentence.
     """
     then, new = _residual(before), _residual(now)
     if then is None or new is None:
