@@ -11,6 +11,8 @@ from calrig.calibration.diagnosis.tracing import diagnose, document, trace
 from calrig.calibration.regression.motion import DERIVED_APPROACH, with_approach
 from calrig.calibration.regression.request import AS_USUAL, DiagnosisRequest
 from calrig.calibration.regression.responses import responses_of
+from calrig.calibration.results.correction import fit_line_with_effects, numbers_of
+from calrig.calibration.results.pose_errors import angles_deg, circumstances, readings_left_deg
 
 PLAY_DEG = 0.2
 KNOWN = DiagnosisRequest(periods_deg=(5.0,))
@@ -44,6 +46,15 @@ def test_play_of_a_triangle_without_approach_is_backlash_and_no_slip(column):
     assert found["effects"][0]["parameters"]["backlash_deg"]["value"] == pytest.approx(PLAY_DEG, abs=0.01)
     assert found["final"]["held_out_rms_deg"] < 0.2 * found["base"]["held_out_rms_deg"]
     assert DERIVED_APPROACH in found["warnings"]
+
+
+def test_an_accepted_play_is_applied_to_the_poses_that_it_was_found_in():
+    poses = with_play(triangle_deg(), 0.01, 0, time_s=4.0 * np.arange(97))
+    (play,) = effects_in(poses)
+    effects = [(play["name"], numbers_of(play["parameters"]))]
+    line = fit_line_with_effects(*angles_deg(poses), effects, circumstances(poses))
+    left_deg = readings_left_deg(poses, line, effects)
+    assert np.std(left_deg) < 0.015
 
 
 @pytest.mark.parametrize("seed", one_now(range(3)))

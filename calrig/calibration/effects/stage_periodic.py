@@ -160,8 +160,6 @@ LEAST_LEFT = 0.3
 """Of a wave's power beside bias and scale, at its worst phase: longer periods are not resolved from them."""
 PLACES, MOST_PLACES, PLACES_A_POSE = (3.0, 2.0), 400, 12.0
 """Frequencies scanned to a resolution of 1/arc: fewer where there are many; so many to a pose at most."""
-MOSTLY = 0.9
-"""Of the frequencies that poses resolve: if fewer are searched for, that is said."""
 MOST_HARMONICS = 8
 """Of a worm or a motor: more of them are what a curve is."""
 LEAST_SHARE = 0.5
@@ -252,7 +250,7 @@ def unsearched(r: Responses) -> str | None:
     """Return which periods a search leaves out; None where the poses resolve none, or somebody states one."""
     if r.known_periods_deg or not turns(r) or len(frequencies := _scanned(r)) == 0:
         return None
-    if frequencies[-1] > MOSTLY * _highest(r):
+    if frequencies[-1] + 1.0 / float(np.ptp(r.theta_deg)) > _highest(r):
         return None
     return (
         f"these poses resolve periods below {1.0 / frequencies[-1]:.3g}°; of those, none but orders of the "

@@ -18,6 +18,7 @@ from calrig.calibration.regression.motion import (
     moves_deg,
     stretches_deg,
     travel_deg,
+    with_approach,
 )
 from calrig.calibration.results.correction import (
     AppliedEffect,
@@ -161,8 +162,10 @@ def _vector_without(pose: Pose, error_g: Sequence[float], turned_rad: float) -> 
 def circumstances(poses: Sequence[Pose]) -> Circumstances:
     """Return what effects are functions of, as far as it is known of every pose.
 
-    Further columns of the poses are among them, unless calrig itself gives their names a meaning.
+    Further columns of the poses are among them, unless calrig itself gives their names a meaning. Where no
+    column tells the approach, the order of the poses does, as in their diagnosis.
     """
+    (poses,), _ = with_approach([poses])
 
     def column(values: list[float | None]) -> FloatArray | None:
         return None if None in values else np.array(values, dtype=np.float64)
