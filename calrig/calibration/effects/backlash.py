@@ -33,7 +33,8 @@ GROWING = "growing"
 OPPOSED = 0.25
 """Of the largest hysteresis, what may be of the other sign at the end with the least: noise, but no play."""
 YIELDING, YIELDS, LONGEST = "yielding", 6, 1.0 / 3.0
-"""How many ways are tried over which a coupling yields: from half a step to that share of the range."""
+"""How many ways are tried over which a coupling yields: from half the mean distance of elevations to that
+share of the range."""
 TURNED_DEG = 1e-9
 """Of way before a move: none, but for rounding; the stage turned there."""
 
@@ -64,8 +65,8 @@ def _forms(r: Responses, at: Parameters) -> Iterator[Shape]:
 def _yields_deg(r: Responses, at: Parameters) -> list[float]:
     if "yield_deg" in at:
         return [float(at["yield_deg"])]
-    steps_deg = np.abs(np.diff(r.theta_deg))
-    shortest_deg, longest_deg = np.median(steps_deg[steps_deg > 0.0]) / 2.0, LONGEST * np.ptp(r.theta_deg)
+    arc_deg = float(np.ptp(r.theta_deg))
+    shortest_deg, longest_deg = arc_deg / (2 * len(np.unique(r.theta_deg))), LONGEST * arc_deg
     return np.geomspace(shortest_deg, longest_deg, YIELDS).tolist() if shortest_deg < longest_deg else []
 
 
@@ -157,7 +158,7 @@ EFFECT = Effect(
         Parameter("taken_up", "Taken up before each pose, however short the move (1)", ""),
     ),
     formula="(backlash_deg + growth_deg_per_deg·(θ − middle_deg))/2·approach: half the hysteresis, sign by "
-    "direction",
+    "direction; with yield_deg times 1 − 2·exp(−travel/yield_deg), travel since the stage turned",
     forms=_forms,
     refine=_refine,
     on_reading_deg=_on_reading_deg,

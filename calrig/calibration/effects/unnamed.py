@@ -180,7 +180,7 @@ MOST_CYCLES = 60.0
 """A run is searched for cycles in time up to this many, or as many as its poses can show."""
 UNEQUAL = 0.5
 """Of the longest move, by how much moves differ that tell an overshoot from what comes with direction."""
-ALIKE_STROKES = 0.5
+ALIKE_STROKES = 0.9
 """Of a cycle in time, the share beyond which curves of the elevation and its direction explain it."""
 Shares = Callable[[FloatArray], Mapping[str, FloatArray]]
 
