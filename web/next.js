@@ -111,13 +111,15 @@ function stepOf(run) {
 
 /**
  * The effects that can be accepted and have not been; older diagnoses do not state whose correction each is. Of an
- * ambiguous one that corrects the unit the name alone is in doubt.
+ * ambiguous one that corrects the unit the name alone is in doubt. A curve without a name comes with the others, which
+ * are sized beside it.
  */
 function offeredOf({ rig, diagnosis }) {
   const hasOwner = ({ corrects }) => isKnown(corrects) && (corrects !== "rig" || isKnown(rig));
-  return diagnosis.effects.filter(
-    (effect) => effect.verdict !== "unnamed" && hasOwner(effect) && !effect.changed && !isKnown(effect.accepted_at),
+  const offered = diagnosis.effects.filter(
+    (effect) => hasOwner(effect) && !effect.changed && !isKnown(effect.accepted_at),
   );
+  return offered.some(({ verdict }) => verdict !== "unnamed") ? offered : [];
 }
 
 async function toAccept(run, next) {
@@ -125,7 +127,7 @@ async function toAccept(run, next) {
   await knowEffects();
   const offered = offeredOf(run);
   const named = (effect) =>
-    (effect.verdict === "named" ? effectTitle : suspectWords)(effect, run.diagnosis.reference);
+    (effect.verdict === "ambiguous" ? suspectWords : effectTitle)(effect, run.diagnosis.reference);
   const listed = (scope) => [...new Set(offered.filter(({ corrects }) => corrects === scope).map(named))];
   const [ofUnit, ofRig] = [listed("unit"), listed("rig")];
   const sentences = [

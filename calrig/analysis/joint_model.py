@@ -42,9 +42,10 @@ def joint_of_accepting(
         Conflict: the effects cannot be fitted together, or predict a run worse than what is in force.
     """
     before = store.effects.acceptances(unit)
-    together = [*before, *(one for one in added if one.unit is not None)]
-    if len(together) == len(before):
+    own = [one for one in added if one.unit is not None]
+    if not own:
         return [*added], []
+    together = _replaced(before, own)
     earlier, runs = _runs(store, before), _runs(store, together)
     in_force = [one for one in store.effects.in_force(unit, None) if one.unit is not None]
     ordered = [*earlier, *(run for run in runs if run.id not in {one.id for one in earlier})]
@@ -65,8 +66,17 @@ def joint_of_accepting(
         return [*added], _accepted(together, runs, found)
     if len(found.factors) != len(together):  # two are one
         return [*added], []
-    factors = iter(found.factors[len(before) :])
-    return [one if one.unit is None else replace(one, factor=next(factors)) for one in added], []
+    factors = {id(one): factor for one, factor in zip(together, found.factors, strict=True)}
+    return [replace(one, factor=factors.get(id(one), one.factor)) for one in added], []
+
+
+def _replaced(before: Sequence[AcceptedEffect], added: Sequence[AcceptedEffect]) -> list[AcceptedEffect]:
+    """Return all acceptances; of each run a name's latest, in the place of its first."""
+    of_name: dict[tuple[str, str], list[AcceptedEffect]] = {}
+    for those in (before, added):
+        for key in {(one.run_id, one.name): None for one in those}:
+            of_name[key] = [one for one in those if (one.run_id, one.name) == key]
+    return [one for those in of_name.values() for one in those]
 
 
 def _too_large(growth: Growth, other_runs: Sequence[str], others: Sequence[str]) -> str:
