@@ -95,6 +95,18 @@ def test_what_was_accepted_is_in_the_document_and_all_formats_agree(bench, trace
         np.testing.assert_allclose((in_c_deg - by_apply_deg + 180.0) % 360.0 - 180.0, 0.0, atol=3e-4)
 
 
+def test_what_is_accepted_again_is_known_as_well_as_before(bench, traced):
+    url, found = traced
+    names = sorted({effect["name"] for effect in found["effects"]})
+    path = "/api/units/EN-1/calibration?revision=latest"
+    first, again = (
+        (bench.post(f"{url}/diagnosis/accept", json={"effects": those}), bench.get(path).json())[1]
+        for those in (names, names[::-1])
+    )
+    assert again["expanded_uncertainty_deg"] == pytest.approx(first["expanded_uncertainty_deg"])
+    assert again["joint_covariance"] is not None
+
+
 def diagnosed(bench, unit, target_deg, reading_deg):
     """The address of an imported run of a unit, and its diagnosis."""
     rows = (f"{target},{reading:.6f}" for target, reading in zip(target_deg, reading_deg, strict=True))
