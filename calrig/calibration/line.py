@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, InstanceOf
 
 from calrig.calibration.correlated_errors import covariance_over_correlations
 from calrig.estimation.angles import BoolArray, FloatArray, Intp, robust_std, wrap_deg
@@ -67,7 +69,8 @@ class Line:
         effect_parameters: of effects, fitted to the same poses in addition; each takes a degree of freedom.
         slope: by how much a reading grows per degree of elevation, where curves of the unit make that another
             than the scale: its inverse square is the mean of the poses'.
-        errors: of the line together with the unit's effects; None where these have no standard errors.
+        errors: of the line together with the unit's effects, in this process; None where these have no
+            standard errors.
     """
 
     bias_deg: float
@@ -78,7 +81,9 @@ class Line:
     residual_std_deg: float | None
     effect_parameters: int = 0
     slope: float | None = None
-    errors: JointErrors | None = field(default=None, compare=False, repr=False)
+    errors: Annotated[InstanceOf[JointErrors] | None, Field(exclude=True)] = field(
+        default=None, compare=False, repr=False
+    )
 
     @property
     def follows(self) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field, InstanceOf
+from pydantic import Field
 
 from calrig.calibration.line import JointErrors, Line, fit_line, residuals_deg, rms, strays
 from calrig.calibration.poses import Pose, of_first_mount
@@ -87,8 +87,8 @@ class FittedResult(Result):
         line_with_effects: the same once accepted effects are taken out; None without any.
     """
 
-    line: InstanceOf[Line] = Field(repr=False, exclude=True)
-    line_with_effects: InstanceOf[Line] | None = Field(default=None, repr=False, exclude=True)
+    line: Line = Field(repr=False, exclude=True)
+    line_with_effects: Line | None = Field(default=None, repr=False, exclude=True)
 
 
 def build_result(
