@@ -82,4 +82,4 @@ def test_what_is_refused_stays_said_while_the_page_reads_the_run_after_an_attemp
     with page.expect_response(f"**/api/runs/{run_id}/poses"):
         for reading in readings:
             reading.continue_()
-    expect(page.locator("#view")).to_contain_text("at most 360", timeout=2000)
+    expect(page.locator("#view")).to_contain_text("at most 360")
