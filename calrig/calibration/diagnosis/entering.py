@@ -5,6 +5,7 @@ An effect enters alone, or with the further terms of its series that the model n
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -119,6 +120,7 @@ def masked_pair(
     return of_two or tested_pair(r, model, first, judged)
 
 
+@lru_cache(maxsize=1)
 def likeliest(r: Responses, model: Model, verdict: Verdict) -> SelectedEffect | None:
     """Return the best of the candidates where something may hide it: what is left looks like slow noise."""
     few, ratios = _without_series(verdict)

@@ -169,7 +169,7 @@ more, over 15 by one of 1,800.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     """Result of the significance test of one search.
 
